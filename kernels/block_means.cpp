@@ -1,8 +1,13 @@
 // Means of subsampled frames over blocks and over lines (fingerflow/tracker/block_means.py).
 // One pixel of `along` of every `down`-th line is read, beginning at along / 2 and down / 2. These samples are divided
 // into rows x columns blocks that cover all of them; neighbouring blocks share samples where counts do not divide.
+// For `strip_differences` lines are read in strips of 18, of which the first begin at multiples of 16, and of each line some
+// 20 pixels, along rows and along columns.
 // Layout: results are contiguous, blocks (batch, rows, columns) and lines (batch, lines read). Sums of integer pixels
 // are exact, those of floats are doubles.
+#include <algorithm>
+#include <cfloat>
+#include <cmath>
 #include <numeric>
 #include <type_traits>
 #include <vector>
@@ -77,8 +82,61 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
         }
 }
 
+constexpr std::int64_t kPeriod = 16, kStrip = kPeriod + 2;
+
+// Pixels that are not finite count as 0, like those of `_strips`.
+template <class Pixel>
+float pixel_value(Pixel pixel) {
+    if constexpr (std::is_floating_point_v<Pixel>) return std::isfinite(pixel) ? static_cast<float>(pixel) : 0.0f;
+    return static_cast<float>(pixel);
+}
+
+// Mean squared differences (kPeriod) of pixels `apart` lines apart, at the places of strips of lines.
+template <class Pixel>
+void differences_across(const Pixel* frame, std::int64_t lines, std::int64_t pixels, std::int64_t line_stride, std::int64_t pixel_stride,
+                        std::int64_t apart, float* squares) {
+    const std::int64_t step = std::max<std::int64_t>(1, pixels / 20), read = (pixels + step - 1) / step;
+    const std::int64_t between = kPeriod * (lines / (8 * kPeriod) | 1), last = std::max<std::int64_t>(lines - kPeriod - 1, 1);
+    const std::int64_t strips = (last + between - 1) / between;
+    std::vector<float> values(static_cast<std::size_t>(strips * kStrip * read));
+    float* to = values.data();
+    double sum = 0;
+    for (std::int64_t line = 0; line < strips * kStrip; ++line) {
+        const Pixel* const from = frame + (line / kStrip * between + line % kStrip) % lines * line_stride;
+        for (std::int64_t k = 0; k < read; ++k) sum += *to++ = pixel_value(from[k * step * pixel_stride]);
+    }
+    const float mean = std::max(static_cast<float>(sum / static_cast<double>(values.size())), FLT_MIN);
+    for (float& value : values) value = std::min(std::max(value / mean, 0.5f), 1.5f);
+    for (std::int64_t place = 0; place < kPeriod; ++place) {
+        float total = 0, most = 0;
+        for (std::int64_t strip = 0; strip < strips; ++strip) {
+            const float* const one = values.data() + (strip * kStrip + place) * read;
+            float square = 0;
+            for (std::int64_t k = 0; k < read; ++k) square += (one[apart * read + k] - one[k]) * (one[apart * read + k] - one[k]);
+            square /= static_cast<float>(read);
+            total += square;
+            most = std::max(most, square);
+        }
+        squares[place] = (total - most) / static_cast<float>(std::max<std::int64_t>(strips - 1, 1));
+    }
+}
+
 }  // namespace
 }  // namespace fingerflow
+
+// Mean squared differences of neighbouring pixels of frames along lines, then across them, as
+void fingerflow_strip_differences(const fingerflow_frames* frames /* 1 x 1 */, std::int64_t apart /* from 1 to 2 */, float* squares /* (batch, 32) */,
+    int threads) {
+    using namespace fingerflow;
+    parallel_for(frames->batch, threads, [&](std::int64_t frame) {
+        const auto find = [&](const auto* data) {
+            data += frame * frames->frame_stride;
+            differences_across(data, frames->width, frames->height, 1, frames->row_stride, apart, squares + 2 * kPeriod * frame);
+            differences_across(data, frames->height, frames->width, frames->row_stride, 1, apart, squares + 2 * kPeriod * frame + kPeriod);
+        };
+        FINGERFLOW_FOR_PIXEL(frames->kind, frames->data, find)
+    });
+}
 
 // Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down /* from 1 */, std::int64_t along /* from 1 */, std::int64_t rows,

@@ -80,6 +80,18 @@ def strain_percent(skin: SinceOnset) -> Values:
     return 100 * np.nan_to_num(weighted_median(mean, skin.ring_area).numpy())
 
 
+def script_curl(skin: SinceOnset) -> Values:
+    """Return the median (T, K) over the contact of u_x - u_y, which the lab's script calls curl: it takes the x
+    displacement twice.
+    """
+    # With e_r and e_h along and around the radius, u_x - u_y at an angle t is
+    # (e_r + e_h) / 2 + (e_r - e_h) (cos 2t - sin 2t) / 2, here at 36 angles of the half turn after which it recurs.
+    twice = torch.arange(36, dtype=torch.float64) * (torch.pi / 18)
+    even, shear = ((skin.radial + sign * skin.hoop).nan_to_num(0.0)[..., None] / 2 for sign in (1, -1))
+    values = (even + shear * (twice.cos() - twice.sin())).flatten(-2)
+    return np.nan_to_num(weighted_median(values, skin.ring_area.repeat_interleave(len(twice), -1)).numpy())
+
+
 def energy_mj(skin: SinceOnset) -> Values:
     """Return the strain energy (T, K), mJ, of the skin over the contact down to a depth of 2 mm, by equation 3."""
     gradient = torch.diag_embed(torch.stack((skin.radial, skin.hoop), -1).nan_to_num(0.0))

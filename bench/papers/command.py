@@ -13,6 +13,7 @@ from bench.papers.page import TITLES, write_page, write_results
 from bench.papers.presses import PressStudy, record_and_analyse
 from bench.papers.printed import Row
 from bench.papers.slides import record_and_measure
+from fingerflow.schema.trial_columns import NUMBERS
 
 _ABOUT_SLIDES = (
     "Ten slides at 60 Hz with a pixel of 40 µm: in four the stick region collapses at the printed sizes and "
@@ -56,12 +57,19 @@ def main(arguments: list[str]) -> None:
 
 def _about(study: PressStudy) -> str:
     design, (high, low) = study.design, study.design.friction
+    errors = ", ".join(
+        f"{number.words} {shown['rms']:.2g} ({shown['bias']:+.2g}) {number.shown_unit.name}"
+        for number in map(NUMBERS.__getitem__, ("gross_contact_area", "divergence", "strain", "strain_energy"))
+        for shown in (number.shown_values(study.errors.loc[number.name]),)
+    )
     return (
         f"An experiment of {design.participants} participants, {design.trials} pairs of presses each at every one of "
         f"{len(design.amplitudes)} amplitudes: a skin chain turned about its axis, softer for half of the "
-        f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. Every press has the "
-        f"true numbers of its chain and errors as large as those of {len(study.pictured)} of such presses, which were "
-        "rendered as recordings and measured. The observer feels the difference of divergence since onset, with "
+        f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. All "
+        f"{len(study.measured):,} presses have the true numbers of their chain, and errors as large as those that this "
+        f"engine made on {len(study.pictured)} others, rendered as recordings of {study.design.frame_rate:g} frames/s; "
+        "pictures and maps are of these. The observer feels the difference of divergence since onset, with "
         "noise, better in fast presses. Strain, energy and divergence are those of the printed analysis, and beside "
-        "them those of this engine. Equations, settings and models are checked too."
+        "them those of this engine. Equations, settings and models are checked too. "
+        f"Errors of the printed analysis, root mean square (mean): {errors}."
     )

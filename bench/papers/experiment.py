@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from bench.papers.chain import SimulatedPresses, energy_mj, strain_percent
+from bench.papers.chain import SimulatedPresses, energy_mj, script_curl, strain_percent
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.manifest import REFERENCE
 from fingerflow.study.row import CURVES, FORCE_GRID
@@ -132,22 +132,19 @@ def _curves_of(presses: SimulatedPresses, analysis: str) -> dict[str, Values]:
     """Return the metrics (G, K) of the skin at the forces `_GRID_N` by an analysis, in the units of a study's table."""
     spread, strained = (presses.dilated, presses.printed) if analysis == PRINTED else (presses.own, presses.own)
     divergence = np.nan_to_num(spread.area_median.numpy())
-    # With e_r and e_h along and around the radius, du/dx - du/dy at an angle t is
-    # (e_r + e_h) / 2 + (e_r - e_h) (cos 2t - sin 2t) / 2, whose median over all directions is half of the divergence.
-    script = divergence / 2
     curves = {
         "gross_contact_area": 1e6 * presses.own.contact_area.numpy(), "divergence": divergence,
-        "curl": script if analysis == PRINTED else 0 * divergence,
+        "curl": script_curl(spread) if analysis == PRINTED else 0 * divergence,
         "strain": strain_percent(strained) / 100, "strain_energy": energy_mj(strained),
     }  # fmt: skip
     return {name: make_interp_spline(presses.force, values, k=1)(_GRID_N) for name, values in curves.items()}
 
 
-def measured_errors(measured: Any, truth: Any) -> dict[str, float]:
-    """Return the standard deviations of measured minus true numbers of the same presses, by 1.4826 times the median
-    absolute deviation.
+def measured_errors(measured: Any, truth: Any) -> Any:
+    """Return the errors of measured against true numbers of the same presses: a DataFrame of the root of their mean
+    square, `rms`, and of their mean, `bias`, a row for each number.
     """
     both = measured.merge(truth, on=["participant", "trial"], suffixes=("", "_truth"))
-    off = {name: both[name] - both[f"{name}_truth"] for name in NUMBERS if f"{name}_truth" in both}
-    return {name: float(1.4826 * (value - value.median()).abs().median())
-            for name, value in off.items() if value.notna().any()}  # fmt: skip
+    names = [name for name in NUMBERS if f"{name}_truth" in both]
+    off = both[names].astype(float) - both[[f"{name}_truth" for name in names]].to_numpy(float)
+    return (off**2).mean().pow(0.5).to_frame("rms").assign(bias=off.mean()).dropna()

@@ -56,11 +56,11 @@ def _friction(study: PressStudy) -> Obtained:
     median = epochs.over_epochs()[0].numpy()
     middles = 1e6 * (epochs.edges[1:] + epochs.edges[:-1]).numpy() / 2
     truth = study.design.friction_for(middles)
-    return Obtained(
-        f"{median[0]:.3f} to {median[-1]:.3f} in bins of {middles[0]:.2f} to {middles[-1]:.2f} µm; RMS error "
-        f"{np.sqrt(np.mean((median - truth) ** 2)):.3f}",
-        truth=f"{truth[0]:.3f} to {truth[-1]:.3f}",
+    rms = np.sqrt(np.mean((median - truth) ** 2))
+    text = (
+        f"{median[0]:.3f} to {median[-1]:.3f} in bins of {middles[0]:.2f} to {middles[-1]:.2f} µm; RMS error {rms:.3f}"
     )
+    return Obtained(text, truth=f"{truth[0]:.3f} to {truth[-1]:.3f}")
 
 
 def _reflection(_: PressStudy) -> Obtained:
@@ -128,10 +128,8 @@ def _divergence(study: PressStudy) -> Obtained:
     spread = study.pictured["divergence"] - study.pictured["true_divergence"]
     shown = VARIABLES["median_divergence"].shown_values
     mean, rms = shown(float(spread.mean())), shown(float(np.sqrt((spread**2).mean())))
-    return Obtained(
-        f"local plane fits; median over the contact, mean error {mean:+.2f}, RMS error {rms:.2f} {DIVERGENCE_UNIT} in "
-        f"{len(spread)} presses"
-    )
+    errors = f"mean error {mean:+.2f}, RMS error {rms:.2f} {DIVERGENCE_UNIT} in {len(spread)} presses"
+    return Obtained(f"local plane fits; median over the contact, {errors}")
 
 
 def _strains(study: PressStudy) -> Obtained:
@@ -140,11 +138,9 @@ def _strains(study: PressStudy) -> Obtained:
     printed = torch.stack((ux + (ux**2 + vx**2) / 2, vy + (uy**2 + vy**2) / 2, (uy + vx) / 2), -1)
     error = float((green_lagrange(gradient, "as_printed") - printed).abs().max())
     other = float((green_lagrange(gradient) - printed).abs().max())
-    return Obtained(
-        f"measure as_printed, to {error:.1g}; {study.scene.fields.strain}, used here, adds (u_x u_y + v_x v_y)/2 "
-        f"to ε_xy: {other:.3f} at most for gradients of 0.1",
-        agrees=error < _EXACT,
-    )
+    more = f"adds (u_x u_y + v_x v_y)/2 to ε_xy: {other:.3f} at most for gradients of 0.1"
+    text = f"measure as_printed, to {error:.1g}; {study.scene.fields.strain}, used here, {more}"
+    return Obtained(text, agrees=error < _EXACT)
 
 
 def _energy_density(study: PressStudy) -> Obtained:
@@ -176,22 +172,16 @@ def _tissue(_: PressStudy) -> Obtained:
 def _damping(_: PressStudy) -> Obtained:
     damping = float(_PAPER.damping)
     response = 1000 * damping / float(_PAPER.tissue_stiffness)
-    return Obtained(
-        f"ζ = {damping:g} N s/m; ζ/k_t = {response:.2f} ms",
-        exactly(damping, response),
-        because="10 ms is not ζ/k_t of the printed numbers in any unit that makes k_t 0.13 kN/m",
-    )
+    because = "10 ms is not ζ/k_t of the printed numbers in any unit that makes k_t 0.13 kN/m"
+    return Obtained(f"ζ = {damping:g} N s/m; ζ/k_t = {response:.2f} ms", exactly(damping, response), because=because)
 
 
 def _internal_force(_: PressStudy) -> Obtained:
     # Second differences of a long chain have eigenvalues from -4, of neighbours that move apart, to 0.
     membrane, tissue, damping = (float(getattr(_PAPER, name)) for name in _OF_CHAIN)
     right, printed = -tissue / damping, (4 * membrane - tissue) / damping
-    return Obtained(
-        f"+k_m (U_i-1 - 2 U_i + U_i+1): largest growth rate {right:.3g} 1/s, as printed {printed:+.3g} 1/s",
-        because="with the printed sign of k_m a disturbance grows",
-        agrees=printed < 0,
-    )
+    text = f"+k_m (U_i-1 - 2 U_i + U_i+1): largest growth rate {right:.3g} 1/s, as printed {printed:+.3g} 1/s"
+    return Obtained(text, because="with the printed sign of k_m a disturbance grows", agrees=printed < 0)
 
 
 _OF_CHAIN = "membrane_stiffness", "tissue_stiffness", "damping"
@@ -200,29 +190,23 @@ _OF_CHAIN = "membrane_stiffness", "tissue_stiffness", "damping"
 def _motion(study: PressStudy) -> Obtained:
     chain = study.chain.chain
     left = float((chain.balance[-1] / study.chain.force[-1]).max())
-    return Obtained(
-        f"implicit steps with error control; unbalanced forces {left:.1g} of the load at the end of a press",
-        because="the printed lines are explicit Euler steps under the name Runge-Kutta, and change the sign of F_ext",
-        agrees=False,
-    )
+    text = f"implicit steps with error control; unbalanced forces {left:.1g} of the load at the end of a press"
+    because = "the printed lines are explicit Euler steps under the name Runge-Kutta, and change the sign of F_ext"
+    return Obtained(text, because=because, agrees=False)
 
 
 def _speed(_: PressStudy) -> Obtained:
     fastest = _SPACING / _STEP_S
-    return Obtained(
-        f"C_max = 1 allows {fastest:.0f} m/s with elements {1e6 * _SPACING:.0f} µm apart and steps of 2.5 µs",
-        exactly(2.5, fastest),
-        because=f"440 m/s would need elements {440 * 1e3 * _STEP_S:.1f} mm apart",
-    )
+    text = f"C_max = 1 allows {fastest:.0f} m/s with elements {1e6 * _SPACING:.0f} µm apart and steps of 2.5 µs"
+    because = f"440 m/s would need elements {440 * 1e3 * _STEP_S:.1f} mm apart"
+    return Obtained(text, exactly(2.5, fastest), because=because)
 
 
 def _elements(_: PressStudy) -> Obtained:
     spacing = 1000 * _SPACING
-    return Obtained(
-        f"{_ELEMENTS} elements, {spacing:.3f} mm apart on a half circle of {1000 * float(_PAPER.radius):g} mm",
-        ((spacing, spacing), (_ELEMENTS, _ELEMENTS)),
-        because=f"{_ELEMENTS} elements 1.1 mm apart are {(_ELEMENTS - 1) * 1.1:.0f} mm of skin",
-    )
+    text = f"{_ELEMENTS} elements, {spacing:.3f} mm apart on a half circle of {1000 * float(_PAPER.radius):g} mm"
+    because = f"{_ELEMENTS} elements 1.1 mm apart are {(_ELEMENTS - 1) * 1.1:.0f} mm of skin"
+    return Obtained(text, exactly(spacing, _ELEMENTS), because=because)
 
 
 def _compression(_: PressStudy) -> Obtained:
@@ -255,9 +239,8 @@ def _deep_stresses(_: PressStudy) -> Obtained:
     kernels = p * z * r**2 + q * r**3, p * z**3 + q * z**2 * r, p * z**2 * r + q * z * r**2
     printed = [-2 / math.pi * simpson(kernel / (r**2 + z**2) ** 2, x=at) for kernel in kernels]
     error = float(np.abs(np.array(found) / printed - 1).max())
-    return Obtained(
-        f"closed forms, to {error:.1g} of a quadrature of equation 11; τ_yz beside them", agrees=error < _EXACT
-    )
+    text = f"closed forms, to {error:.1g} of a quadrature of equation 11; τ_yz beside them"
+    return Obtained(text, agrees=error < _EXACT)
 
 
 def _gains(quantity: str, values_of: Callable[[Depth], Values]) -> Callable[[PressStudy], Obtained]:

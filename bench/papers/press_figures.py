@@ -35,6 +35,8 @@ _MOVIE_MAPS = (*_STRAINS, "strain_energy_density")
 _CHAIN_STEP = 4  # every 4th simulated time of the chain is shown in movie M3
 _MOVIE_FORCES = 12  # number of normal forces in movie M4
 _ARROWS = 10.0  # magnification of displacements in movie M1
+# Metrics that the paper draws against force, by the letters of their panels.
+_CURVES = {"S8": {"E": "strain", "F": "strain_rate"}, "S9": {"B": "strain_energy", "C": "strain_energy_rate"}}
 _STACKED = 1.6  # height of a panel with several axes relative to one with a single axis
 
 
@@ -45,8 +47,11 @@ def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
 
 
 def _of_trials(study: PressStudy, name: str) -> list[SheetPanel]:
-    """Return the panels of the supplement's figure `name`, such as "S5", that the table of trials supports."""
-    return list(supplement_sheet(name, study.sample.trials).panels)
+    """Return the panels of the supplement's figure `name`, such as "S5", that the study supports: curves against force,
+    and those of the table of trials.
+    """
+    curves = (_curve(study, *curve) for curve in _CURVES.get(name, {}).items())
+    return [*curves, *supplement_sheet(name, study.sample.trials).panels]
 
 
 def _supplement(name: str, shown: str = "Of the study, {count}.") -> Callable[[PressStudy], Drawn]:
@@ -132,8 +137,6 @@ def _strain(study: PressStudy) -> Drawn:
         SheetPanel("A, C", lambda part: _triangulated(part, low, high), columns=3, rows=0.8),
         SheetPanel("B", lambda part: _strain_maps(part, low, "low", limit), columns=3),
         SheetPanel("D", lambda part: _strain_maps(part, high, "high", limit), columns=3),
-        _curve(study, "E", "strain"),
-        _curve(study, "F", "strain_rate"),
         *_of_trials(study, "S8"),
     ]
     return _sheet(
@@ -147,8 +150,6 @@ def _strain_energy(study: PressStudy) -> Drawn:
     high, low = study.typical
     panels = [
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
-        _curve(study, "B", "strain_energy"),
-        _curve(study, "C", "strain_energy_rate"),
         *_of_trials(study, "S9"),
     ]
     return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")
@@ -171,21 +172,29 @@ def _curl(study: PressStudy) -> Drawn:
     _, low = study.typical
     panels = [
         SheetPanel.single("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
-        _curve(study, "B", "curl"),
-        *_of_trials(study, "S13"),
+        *map(_of_script, (_curve(study, "B", "curl"), *_of_trials(study, "S13"))),
     ]
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
 
 
-def _since_own_onset(name: str, *curves: tuple[str, str]) -> PrintedFigure[PressStudy]:
-    """Return figure `name`, such as "S8", by the analysis of this engine: its panels of trials, and the `curves` of
-    metrics by their letters.
-    """
+def _of_script(panel: SheetPanel) -> SheetPanel:
+    """Return a panel of the curl that says which number the lab's script calls so."""
+
+    def draw(part: SubFigure) -> None:
+        panel.draw(part)
+        axes, caption = part.axes[0], caption_of(part)
+        axes.set_ylabel(axes.get_ylabel().replace("curl", "script's curl,\nu_x - u_y"))
+        describe(axes, caption.replace("Curl", "Script's curl, u_x - u_y").replace("median curl", "median"))
+
+    return replace(panel, draw=draw)
+
+
+def _since_own_onset(name: str) -> PrintedFigure[PressStudy]:
+    """Return figure `name`, such as "S8", by the analysis of this engine."""
 
     def draw(study: PressStudy) -> Drawn:
         assert study.own is not None  # of the study by the printed analysis, which is drawn
-        panels = [*(_curve(study.own, *curve) for curve in curves), *_of_trials(study.own, name)]
-        return _sheet(name, panels, f"The same trials since each point's own onset: {_count(study)}.")
+        return _sheet(name, _of_trials(study.own, name), f"Since each point's own onset: {_count(study)}.")
 
     return PrintedFigure(f"{name}-own-onset", f"figure {name}, counted otherwise", draw)
 
@@ -300,9 +309,7 @@ FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
     PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α",
                   _supplement("S12")),
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
-    _since_own_onset("S8", ("E", "strain"), ("F", "strain_rate")),
-    _since_own_onset("S9", ("B", "strain_energy"), ("C", "strain_energy_rate")),
-    *map(_since_own_onset, ("S11", "S12", "S13")),  # curl is 0 but for noise
+    *map(_since_own_onset, ("S8", "S9", "S11", "S12", "S13")),  # curl is 0 but for noise
     PrintedFigure("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
     PrintedFigure("M2", "protocol; contact and ridge images", lambda study: (
         _processed_frames(study), "Both views, above high, below low friction; the protocol is not simulated."), 3),

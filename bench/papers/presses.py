@@ -1,7 +1,6 @@
 """Simulated experiment of Willemet et al. 2021: recordings of a study of presses, its results and statistics."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,7 +33,7 @@ _LEAST_N = 3.0  # N, least peak force of presses that figures show
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(trials=1)
-_QUICK = Design(participants=2, trials=1, amplitudes=(1.0, 3.0))
+_QUICK = Design(participants=6, trials=1, amplitudes=(1.0, 3.0))
 _RESAMPLES = {False: 2000, True: 400}
 
 
@@ -72,6 +71,7 @@ class PressStudy:
         statistics: as in `statistics.json`.
         design: of the simulation.
         trace: simulated tribometer trace.
+        errors: of the analysis on the rendered presses, as of `measured_errors`.
         own: the same experiment by the analysis of this engine, where this is by the printed one.
     """
 
@@ -83,6 +83,7 @@ class PressStudy:
     statistics: dict[str, Any]
     design: Design
     trace: TribometerTrace
+    errors: Any = None
     own: "PressStudy | None" = None
 
     @cached_property
@@ -99,12 +100,6 @@ class PressStudy:
     def scene(self) -> Scene:
         """Return the scene of the first press; those of the others differ from it in file names only."""
         return self.manifest.build_scene(self.manifest.trials[0])
-
-    def result_of(self, entry: TrialEntry) -> xr.Dataset | None:
-        """Return the result of a press; None if it was not measured."""
-        folder = self.manifest.results / entry.name
-        stored = read_row(folder)
-        return None if stored is None or stored.result is None else load_result(folder / stored.result)
 
     def truth_of(self, entry: TrialEntry) -> SyntheticScene:
         """Return the synthetic scene of a press, which has its true motion."""
@@ -128,7 +123,8 @@ class PressStudy:
 
     @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
-        """Return two presses of one participant with similar largest forces (3 N or more): at high and at low friction.
+        """Return two presses of one participant at high and at low friction, with similar largest forces (3 N or more)
+        and real contact areas about as far apart as those of the design.
 
         The reference press has high friction, one at the largest amplitude low friction.
 
@@ -139,13 +135,14 @@ class PressStudy:
         pairs = still.merge(vibrating, on="participant", suffixes=("", "_vibrating"))
         if pairs.empty:
             raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
-        best = pairs.loc[(pairs["max_force"] - pairs["max_force_vibrating"]).abs().idxmin()]
+        force, area = (np.log(pairs[f"{one}_vibrating"] / pairs[one]) for one in ("max_force", "real_contact_area"))
+        best = pairs.loc[(force.abs() + (area - np.log(1 - self.design.real_area_fall)).abs()).idxmin()]
         high, low = (self._typical(best["participant"], best[trial]) for trial in ("trial", "trial_vibrating"))
         return high, low
 
     def _typical(self, participant: str, trial: str) -> "TypicalPress":
         entry = next(one for one in self.manifest.trials if (one.participant, one.trial) == (participant, trial))
-        result = self.result_of(entry)
+        result = result_of(self.manifest, entry)
         assert result is not None
         return TypicalPress(result, self.manifest.build_scene(entry))
 
@@ -170,26 +167,59 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
     measured = pd.read_parquet(write_tables(manifest)[0])
     measured = measured.astype({name: float for name in measured if name.startswith("true_")})
     design, skins = Design(), simulate_skins(Design())
-    truth = Experiment(pictured, draw_presses(pictured), skins, OWN).frame({}, 0)
     parts = manifest, measured[measured["status"] == MEASURED], design
-    errors = measured_errors(parts[1], truth)
-    presses = draw_presses(design)
+    presses, rendered = draw_presses(design), draw_presses(pictured)
     trace = simulate_trace(design.friction_for, max(design.amplitudes))
-    own = study_of(Experiment(design, presses, skins, OWN), parts, errors, trace, _RESAMPLES[quick])
-    printed = study_of(Experiment(design, presses, skins, PRINTED), parts, errors, trace, _RESAMPLES[quick])
+    numbers = {OWN: parts[1], PRINTED: _measure_as_printed(manifest)}
+    truth = {analysis: Experiment(pictured, rendered, skins, analysis).frame({}, 0) for analysis in numbers}
+    errors = {analysis: measured_errors(table, truth[analysis]) for analysis, table in numbers.items()}
+    # The script's curl is no variable of a result: it is a median of gradients of the same points as the divergence.
+    errors[PRINTED].loc["curl"] = errors[PRINTED].loc["divergence"]
+    errors[PRINTED] = errors[PRINTED].combine_first(errors[OWN])
+    own, printed = (
+        study_of(Experiment(design, presses, skins, analysis), parts, errors[analysis], trace, _RESAMPLES[quick])
+        for analysis in (OWN, PRINTED)
+    )
     return replace(printed, own=own)
+
+
+def _measure_as_printed(manifest: Manifest) -> Any:
+    """Process the rendered presses with the profile of the paper; return a DataFrame of its numbers at their largest
+    forces.
+    """
+    import pandas as pd
+
+    shared = {**manifest.shared, "profile": "willemet_2021"}
+    manifest = replace(manifest, shared=shared, results=manifest.path.parent.with_name("printed"))
+    run_study(manifest)
+    rows = []
+    for entry in manifest.trials:
+        if (result := result_of(manifest, entry)) is not None:
+            at = result.isel(frame=int(np.nanargmax(result["normal_force"])))
+            strain, energy = float(at["printed_strain"][:2].mean()), float(at["printed_strain_energy"])
+            rows.append((entry.participant, entry.trial, float(at["median_divergence"]), strain, energy))
+    return pd.DataFrame(rows, columns=["participant", "trial", "divergence", "strain", "strain_energy"])
+
+
+def result_of(manifest: Manifest, entry: TrialEntry) -> xr.Dataset | None:
+    """Return the result of a press of a study; None if it was not measured."""
+    folder = manifest.results / entry.name
+    stored = read_row(folder)
+    return None if stored is None or stored.result is None else load_result(folder / stored.result)
 
 
 def study_of(
     experiment: Experiment,
     parts: tuple[Manifest, Any, Design],
-    errors: Mapping[str, float],
+    errors: Any,
     trace: TribometerTrace,
     resamples: int,
 ) -> PressStudy:
-    """Return an experiment with its statistics; `parts` are manifest and table of the rendered presses, and design."""
+    """Return an experiment with its statistics; `parts` are manifest and table of the rendered presses, and design, and
+    `errors` those of `measured_errors`.
+    """
     manifest, pictured, design = parts
-    frame = experiment.frame(errors, design.seed)
+    frame = experiment.frame(errors["rms"], design.seed)
     sample = read_sample(frame)
     statistics = study_statistics(sample, resamples)
-    return PressStudy(manifest, pictured, frame, experiment.curves(), sample, statistics, design, trace)
+    return PressStudy(manifest, pictured, frame, experiment.curves(), sample, statistics, design, trace, errors)

@@ -55,12 +55,11 @@ def _abrupt(slides: Slides) -> list[JudgedSlide]:
 
 def _critical_areas(slides: Slides) -> Obtained:
     printed = [one.trial.verdict.corridor_area for one in _abrupt(slides)]
-    return _least_and_largest(
-        slides,
-        lambda verdict: (verdict.critical_area, verdict.critical_area_std),
+    more, truth = (
         f"; largest value in the corridor {_ends(printed)}",
         _ends([one.truth.last for one in slides.of(ABRUPT)]),
     )
+    return _least_and_largest(slides, lambda one: (one.critical_area, one.critical_area_std), more, truth)
 
 
 def _extents(slides: Slides) -> Obtained:
@@ -81,12 +80,8 @@ def _least_and_largest(
     if not found:
         return Obtained("", because="no slide was judged to vanish abruptly")
     ends = [measured(one.trial.verdict) for one in (found[0], found[-1])]
-    return Obtained(
-        " to ".join(format_uncertainty(*one) for one in ends) + more,
-        tuple(likely(*one) for one in ends),
-        truth,
-        "the fitted area is off by more than its deviation",
-    )
+    text, numbers = " to ".join(format_uncertainty(*one) for one in ends) + more, tuple(likely(*one) for one in ends)
+    return Obtained(text, numbers, truth, "the fitted area is off by more than its deviation")
 
 
 def _durations(slides: Slides) -> Obtained:
@@ -151,11 +146,9 @@ def _force_rate(slides: Slides) -> Obtained:
         found.append(1 / float(np.median(np.diff(forces.times))) / 1000)
         normal = np.asarray(one.trial.result["normal_force"])
         steady.append(float(np.nanstd(normal) / np.nanmean(normal)))
-    return Obtained(
-        f"{np.mean(found):.3g} kHz; N constant to {100 * max(steady):.1f} %",
-        ((min(found), max(found)),),
-        because="the simulated sensor samples faster; forces are filtered to the frames of 60 Hz either way",
-    )
+    text = f"{np.mean(found):.3g} kHz; N constant to {100 * max(steady):.1f} %"
+    because = "the simulated sensor samples faster; forces are filtered to the frames of 60 Hz either way"
+    return Obtained(text, ((min(found), max(found)),), because=because)
 
 
 # Rows on the model, in units in which the contact is a disc of radius 1 and N is 1.

@@ -218,8 +218,6 @@ def reject_outliers(points: TrackedPoints, off_neighbours: Array, uncertain: Arr
     """Return the results with the tracked points rejected that two masks (K, N) mark: those that are far more uncertain
     than their neighbours, and those that deviate from them.
     """
-    if not np.logical_or.reduce(off_neighbours | uncertain, axis=None):  # as in most frames
-        return points
     tracked = points.status == TRACKED
     certain = reject(points, tracked & uncertain, _UNCERTAIN)
     return reject(certain, tracked & off_neighbours, _OFF_NEIGHBOURS)

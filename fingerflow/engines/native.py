@@ -123,11 +123,8 @@ class NativeEngine:
         arrays = templates.arrays if rows is None else tuple(array[:, rows] for array in templates.arrays)
         rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
         limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
-        points, error, covariance, status, estimate, place, speed = tracking.find_templates(
-            arrays, images, place[None], speed[None], None, ROUNDS, *limits
-        )
-        found = TrackedPoints(points[:, 0], error[:, 0], covariance[:, 0], status[:, 0], estimate[:, 0])
-        return Followed(found, place[0], speed[0])
+        *points, place, speed = tracking.find_templates(arrays, images, place[None], speed[None], None, ROUNDS, *limits)
+        return Followed(TrackedPoints(*[values[:, 0] for values in points]), place[0], speed[0])
 
     def correct(self, start: Array, found: TrackedPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         if len(start) > 1:  # a single point has no neighbour

@@ -46,8 +46,7 @@ class _Layout(NamedTuple):
 
     Attributes:
         arguments: numbers in packing order, with sizes, strides and dtypes of the arrays; 0 for arrays.
-        fractions, arrays: position and name of each argument that is a float, which calls of this layout may change,
-            and of each array that has an address.
+        varying: position and name of each argument that is a float, and of each array that has an address.
         copied: names of the arrays that are copied.
         limits: name of each array of indices, name and value of the number below which they lie.
         like: name of an array that is a tensor, "" if none is.
@@ -55,8 +54,7 @@ class _Layout(NamedTuple):
     """
 
     arguments: list[Any]
-    fractions: list[tuple[int, str]]
-    arrays: list[tuple[int, str]]
+    varying: list[tuple[int, str]]
     copied: list[str]
     limits: list[tuple[str, str, int]]
     like: str
@@ -92,7 +90,6 @@ class Kernel:
         self._pack = struct.Struct(function.format).pack
         self._enter: Any = library[f"enter_{name}"]
         self._enter.argtypes = (ctypes.c_char_p,)
-        self._threaded = self._places.get("threads", 0)
         self._message = library.fingerflow_last_message
         self._layouts: dict[tuple[Any, ...], _Layout] = {}
 
@@ -130,31 +127,27 @@ class Kernel:
         like = values[layout.like] if layout.like else None
         for name in layout.copied:
             values[name] = values[name].copy() if like is None else copied(values[name])
-        for name, below, limit in layout.limits:
-            if not _here.shapes_only:
-                self._check_indices(name, values[name], below, limit)
+        for name, below, limit in () if _here.shapes_only else layout.limits:
+            self._check_indices(name, values[name], below, limit)
         results = [None] * len(layout.results)
         for place, (name, dtype, shape, cleared) in enumerate(layout.results):
             if shape is not None:
                 values[name] = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
                 if cleared:
                     values[name][...] = 0
-            if shape is not None or name in values:
+            if name in values:
                 results[place] = values[name]
         if not _here.shapes_only:
             arguments = [*layout.arguments]
-            for place, name in layout.fractions:
-                arguments[place] = values[name]
-            for place, name in layout.arrays:
-                array = values[name]
-                if DATA_OFFSET and type(array) is np.ndarray:
-                    arguments[place] = _address_at(id(array) + DATA_OFFSET).value
+            for place, name in layout.varying:
+                value = values[name]
+                if DATA_OFFSET and type(value) is np.ndarray:
+                    arguments[place] = _address_at(id(value) + DATA_OFFSET).value
                 else:
-                    arguments[place] = address(array)
-            if self._threaded:
-                # As `threads()`, which would be one more call of Python.
+                    arguments[place] = value if type(value) is float else address(value)
+            if "threads" in self._places:  # as `threads()`, which would be one more call of Python
                 torch = sys.modules.get("torch")
-                arguments[self._threaded] = (_threads or _lent_threads()) if torch is None else torch.get_num_threads()
+                arguments[-1] = (_threads or _lent_threads()) if torch is None else torch.get_num_threads()
             try:
                 packed = self._pack(*arguments)
             except (struct.error, OverflowError, TypeError):
@@ -204,10 +197,10 @@ class Kernel:
                     shape = tuple([numbers.get(str(size), size) for size in sizes])  # a number is its own size
             results.append((field.name, dtype, shape, field.role == "updated"))
         known = {name for name in self._names if values.get(name) is not None}
+        known |= {name for name, value in values.items() if type(value) is float}
         known |= {name for name, _, shape, _ in results if shape is not None}
         return _Layout(
             [0 if name in self._names else numbers[name] for name in self._places],
-            [(place, name) for name, place in self._places.items() if type(values.get(name)) is float],
             [(place, name) for name, place in self._places.items() if name in known],
             copies,
             [(name, below, numbers[below]) for name, below in self._indices if name in known],

@@ -32,6 +32,7 @@ from fingerflow.schema.variable_record import Variable
 
 _PICTURES = 16  # frames per batch; as many again are decoded ahead
 _NUMBERS = 64  # frames per batch in a pass without images
+_libraries = cache(ThreadpoolController)  # with threads; to search for them takes as long as a frame
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")
 
@@ -109,12 +110,6 @@ def process_to_file(
 
 def _loaded(scene: Scene | str | Path) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(Path(scene))
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return the libraries of this process that have threads; to search for them takes as long as some frames."""
-    return ThreadpoolController()
 
 
 @contextmanager

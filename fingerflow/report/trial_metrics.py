@@ -168,7 +168,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.08))
     middle, far = np.quantile(np.abs(medians), (0.5, 1)) if medians.size else (1, 1)
     if 0 < _LONG_TAIL * middle < far:
-        axes.set_xscale("symlog", linthresh=middle)
+        axes.set_xscale("symlog", linthresh=10 ** np.round(np.log10(middle)))  # a decade, so that ticks stay apart
     else:
         axes.locator_params(axis="x", nbins=5)
     size = f"{correlation.trials} dots of {correlation.participants} participants"
@@ -194,14 +194,10 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
     correlation = pearson(x, y, trials.participant)
     axes.set_title(f"no line: {correlation.reason}")
     if np.isfinite(correlation.interval).all():
-        both = np.isfinite(x) & np.isfinite(y)
-        of_one = [both & (trials.participant == name) for name in np.unique(trials.participant[both])]
-        slopes = [float(stats.theilslopes(y[one], x[one]).slope) for one in of_one if np.ptp(x[one])]
-        ends, slope = np.quantile(x[both], (0.01, 0.99)), float(np.mean(slopes))
-        axes.plot(ends, slope * ends + np.median(y[both] - slope * x[both]), color=RED, linewidth=1.2)
-        axes.set_title(
-            f"slope {format_uncertainty(slope, float(np.std(slopes, ddof=1)))}, R² = {correlation.value**2:.2f}"
-        )
+        slopes, ends = participant_lines(x, y, trials.participant)[:, 0], np.nanquantile(x, (0.01, 0.99))
+        slope, deviation = float(slopes.mean()), float(slopes.std(ddof=1))
+        axes.plot(ends, slope * ends + np.nanmedian(y - slope * x), color=RED, linewidth=1.2)
+        axes.set_title(f"slope {format_uncertainty(slope, deviation)}, R² = {correlation.value**2:.2f}")
     axes.set(xlabel=metric_label(first), ylabel=metric_label(second))
     size = f"{correlation.trials} trials of {np.unique(trials.participant).size} participants"
     return finished(
@@ -211,12 +207,18 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
     )
 
 
+def participant_lines(x: Values, y: Values, participants: NDArray[Any]) -> Values:
+    """Return slope and offset (P, 2) of y over x, both (T,), of each participant whose x varies, by Theil & Sen."""
+    both = np.isfinite(x) & np.isfinite(y)
+    parts = [both & (participants == name) for name in np.unique(participants[both])]
+    return np.array([stats.theilslopes(y[part], x[part])[:2] for part in parts if np.ptp(x[part])])
+
+
 def draw_medians(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figure S13 C: one median over the contact against another, a dot a trial, coloured by participant."""
     correlation = pearson(*_draw_by_participant(axes, trials, first, second), participants=trials.participant)
-    low, high = correlation.interval
     axes.set(xlabel=f"median {metric_label(first)}", ylabel=f"median {metric_label(second)}")
-    axes.set_title(f"r = {format_interval(correlation.value, low, high)}, {correlation.trials} trials")
+    axes.set_title(f"r = {format_interval(correlation.value, *correlation.interval)}, {correlation.trials} trials")
     return finished(
         axes,
         f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} r: Pearson's "

@@ -120,11 +120,10 @@ _OF_TRIAL = (
 )  # fmt: skip
 #: Suffix of a curve while the normal force falls.
 UNLOADING = "_unloading"
-_RELATIVE = "gross contact area over that at the largest force"
 #: Curves against a share of the load: of T/N at full slip for d², else of the largest normal force.
 BY_SHARE = {variable.name: variable for variable in (
     replace(VARIABLES["stuck_ratio"], label="stick ratio d²"),
-    Variable("relative_area", _TRIAL, "1", _RELATIVE, label="relative contact area"),
+    Variable("relative_area", _TRIAL, "1", "gross area over that at the largest force", label="relative contact area"),
     Variable("mean_pressure", _TRIAL, "kPa", "normal force over gross contact area"),
 )}  # fmt: skip
 #: Areas that are also given relative to their median over the participant's trials, when the table is written.

@@ -211,13 +211,13 @@ TRACKING = (
         unasked=False),
     Variable("position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
-        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "
-        "window in which dust stands out matches; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n the side of the window, "
-        "over all second derivatives of both components, fitted over two windows",
+        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ² − 2 σ_δ², δ the shift to where "
+        "most of a window in which dust stands out matches, σ_δ its error; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n "
+        "the side of the window, over all second derivatives of both components, fitted over two windows",
         label="standard deviation of the position"),
     Variable("position_noise_px", FRAME_POINT, "px",
         "part of position_std_px that is not due to displacement curved within the window", "f4",
-        equation="√(tr C/2 + δ²/2), the terms of position_std_px by noise and dust",
+        equation="√(tr C/2 + δ² − 2 σ_δ²), the terms of position_std_px by noise and dust",
         label="standard deviation of the position by image noise"),
     Variable("position_anisotropy", ("point", "xy"), "1",
         "anisotropy of the covariance of a position on the glass, of which position_std_px is the mean over directions",

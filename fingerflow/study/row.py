@@ -31,18 +31,10 @@ _SERIES = {
     if f"{name}{suffix}" in NUMBERS
 }
 READ = (
-    *_SERIES.values(),
-    *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
-    *("tangential_force", "actuator_position"),
-    *(
-        "gross_contact_area_std",
-        "ellipse_angle",
-        "ellipse_semi_axes",
-        "median_strain",
-        "median_strain_std",
-        "median_strain_rate",
-    ),
-)
+    *_SERIES.values(), "frame_status", "normal_force", "tangential_force", "load_ratio", "actuator_position", "status",
+    "in_contact", "displacement", "stuck_ratio", "gross_contact_area_std", "ellipse_angle", "ellipse_semi_axes",
+    "median_strain", "median_strain_std", "median_strain_rate",
+)  # fmt: skip
 _JUDGED = "stuck_ratio"  # variable that has the verdict on slip among its attributes
 #: Variables whose attributes `measure` reads.
 DESCRIBED = (_JUDGED,)

@@ -218,11 +218,12 @@ def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
 
 @lru_cache(maxsize=8)
 def simulate_skin(friction: tuple[float, ...], softness: float, most: float) -> tuple[Values, PressedChain]:
-    """Simulate the presses of a design's skin at K coefficients of friction to a force of `most` N, as `ChainPress`
-    does with a path to this force; return the normal forces (T,), N, and the states (T, K, ...) of the chains.
+    """Simulate the presses of a design's skin at K coefficients of friction to a force of `most` N, as a steady
+    `ChainPress` does with a path to this force; return the normal forces (T,), N, and the states (T, K, ...) of the
+    chains.
     """
-    share = np.linspace(0, 1, _TIMES)
-    force, time = torch.from_numpy(most * force_share(share)), torch.from_numpy(most / PATH_N_S * share)
+    force = torch.from_numpy(most * force_share(np.linspace(0, 1, _TIMES)))
+    time = force / PATH_N_S
     skin, coefficients = PARAMETERS[_SKIN].softer(softness), torch.tensor(friction, dtype=torch.float64)
     chain = follow(
         coefficients, time, force[:, None], parameters=skin, elements=_FEW_ELEMENTS, tolerance_m=_TOLERANCE_M

@@ -36,7 +36,7 @@ class ChainPress(SyntheticScene):
 
     With r the distance from the disc's centre, material = position - s (position - centre), where s(r, p) is a bicubic
     spline, even in r, and p the place on the path of the chain. The square of the disc's radius is a cubic spline of p.
-    Both splines are even at either end of the path, because the force begins and ends with zero slope. Beyond a
+    Both splines are even at either end of the path, because the force, sin² of p, has no slope there. Beyond a
     progress of 1 disc and skin move together, by shift sin²(pi (progress - 1) / 2). Settings that all scenes share are
     those of `SyntheticScene`.
 
@@ -47,7 +47,7 @@ class ChainPress(SyntheticScene):
         force: at the end of the rise, N.
         contact_time: s from the trigger to first contact.
         rise_time: s from first contact to the full force.
-        steady: whether the force rises at a constant rate, else as sin².
+        steady: whether the force on skin and chain rises at a constant rate, else as sin².
         relaxation: share of the force that is lost, evenly, from the end of the rise to the last frame; the skin stays.
         drag: tangential force as a share of the normal force.
         shift: displacement (x, y) in mm of disc and skin from the end of the rise to the last frame.
@@ -163,12 +163,12 @@ class ChainPress(SyntheticScene):
         return self.force if self.path_force is None else self.path_force
 
     @property
-    def _path(self) -> tuple[float, str, float, float, float, int]:
-        """Return the arguments of `pressed_chain` for this press: friction, skin parameters, softness, force, rise time
-        and number of elements.
+    def _path(self) -> tuple[float, str, float, float, float, bool, int]:
+        """Return the arguments of `pressed_chain` for this press: friction, skin parameters, softness, force, rise
+        time, whether the force rises steadily, and number of elements.
         """
         rise_s = self.rise_time if self.path_force is None else self.path_force / PATH_N_S
-        return self.friction, self.parameters, self.softness, self._path_force, rise_s, self.elements
+        return self.friction, self.parameters, self.softness, self._path_force, rise_s, self.steady, self.elements
 
     @property
     def _path_end(self) -> float:
@@ -180,13 +180,14 @@ class ChainPress(SyntheticScene):
 
 @lru_cache(maxsize=4)
 def pressed_chain(
-    friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
+    friction: float, parameters: str, softness: float, force: float, rise_s: float, steady: bool, elements: int
 ) -> Chain:
-    """Simulate a skin chain that is pressed on the plate by a force which rises as sin² to `force` N in `rise_s` s;
-    return its states at 257 evenly spaced times.
+    """Simulate a skin chain that is pressed on the plate by a force which rises to `force` N in `rise_s` s, as sin² or
+    at a constant rate; return its states at 257 forces, evenly spaced in the inverse of sin².
     """
-    time = torch.linspace(0, rise_s, _TIMES, dtype=torch.float64)
-    load = torch.from_numpy(force * force_share(np.linspace(0, 1, _TIMES)))
+    share = np.linspace(0, 1, _TIMES)
+    time = torch.from_numpy(rise_s * (force_share(share) if steady else share))
+    load = torch.from_numpy(force * force_share(share))
     return follow(friction, time, load, parameters=parameter_set(parameters).softer(softness), elements=elements)
 
 
@@ -206,13 +207,13 @@ def _invert_force_share(share: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _path_splines(
-    friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
+    friction: float, parameters: str, softness: float, force: float, rise_s: float, steady: bool, elements: int
 ) -> tuple[float, Tensor, Tensor]:
     """Simulate a skin chain as `pressed_chain` does; return the radius (mm) where the spline s of the radial motion
     ends, beyond which s is constant, its coefficients (K + 3, M + 3) from p = 0 to 1 and radius 0 to there, padded by
     one on each side, and the coefficients (K + 3,) of the square of the contact radius, mm².
     """
-    chain = pressed_chain(friction, parameters, softness, force, rise_s, elements)
+    chain = pressed_chain(friction, parameters, softness, force, rise_s, steady, elements)
     x = 1e3 * (chain.position[..., 0] - chain.position[..., 0].flip(-1)).numpy() / 2
     undeformed = x[0]
     seen = np.abs(undeformed) <= _SIDE * undeformed[-1]

@@ -92,11 +92,10 @@ def is_noise(frames: Array, roughness: float) -> Array:
     much as those 2 px apart, everywhere or at the borders of blocks of 2 to 32 px. In a picture whose finest ridges
     have a period of 4 px or more, the mean squared difference at least doubles, and mostly becomes four times as large.
     """
-    strips = _strips(frames)
-    near = _squared_differences(strips, 1)
+    near = strip_differences(frames, 1)
     noise: Array = near > roughness**2
     if np.logical_or.reduce(noise, None):
-        noise &= _squared_differences(strips, 2) < _ALIKE * near
+        noise &= strip_differences(frames, 2) < _ALIKE * near
     return np.logical_or.reduce(noise, 1)
 
 
@@ -104,37 +103,29 @@ def noise_roughness(glass: Array) -> float:
     """Return the least roughness of noise, 0.2 or twice that of the empty glass (H, W): the pixels of a colour camera
     differ.
     """
-    return max(_ROUGH, float(_ROUGHER * np.sqrt(_squared_differences(_strips(glass[None]), 1).max())))
+    return max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
 
 
-def _strips(frames: Array) -> list[Array]:
-    """Return pixels of frames (n, H, W) in strips of 18 columns and of 18 lines, (n, strips, 18, pixels) each, in units
-    of their mean, 0.5 at least and 1.5 at most: salt and pepper have little weight.
+def strip_differences(frames: Array, apart: int) -> Array:
+    """Return the mean squared differences (n, 32) of pixels of frames (n, H, W) that are `apart` px apart, along and
+    across the lines of a frame, at each of 16 places in strips of 18 columns and of 18 lines; at each, the strip with
+    the largest ones, as at an edge, is left out.
+
+    Pixels are in units of their mean, 0.5 at least and 1.5 at most: salt and pepper have little weight.
     """
-    strips = []
+    if is_present() and KINDS[frames.dtype] in FRAME_KINDS:
+        squared: Array = compiled("strip_differences")(frames=frames[:, None], apart=apart)
+        return squared
+    result = []
     for across in (frames.swapaxes(1, 2), frames):
-        lines = across[:, _lines_of_strips(across.shape[1]), :: max(1, across.shape[2] // 20)]
+        first = np.arange(0, max(across.shape[1] - _PERIOD - 1, 1), _PERIOD * (across.shape[1] // (8 * _PERIOD) | 1))
+        numbers = (first[:, None] + np.arange(_PERIOD + 2)).ravel() % across.shape[1]  # lower frames are repeated
+        lines = across[:, numbers, :: max(1, across.shape[2] // 20)]
         pixels = lines.astype(np.float32) if lines.dtype.kind != "f" else np.nan_to_num(lines, posinf=0, neginf=0)
         pixels /= np.maximum(np.add.reduce(pixels, (1, 2), keepdims=True) / pixels[0].size, _TINY)
         pixels = np.minimum(np.maximum(pixels, 0.5, out=pixels), 1.5, out=pixels)
-        strips.append(pixels.reshape(len(frames), -1, _PERIOD + 2, pixels.shape[2]))
-    return strips
-
-
-@functools.cache
-def _lines_of_strips(height: int) -> Array:
-    """Return the numbers of the lines in strips, which begin at multiples of 16; lower frames are repeated."""
-    first = np.arange(0, max(height - _PERIOD - 1, 1), _PERIOD * (height // (8 * _PERIOD) | 1))
-    return (first[:, None] + np.arange(_PERIOD + 2)).ravel() % height
-
-
-def _squared_differences(strips: list[Array], apart: int) -> Array:
-    """Return the mean squared differences (n, 32) of pixels that are `apart` px apart, along and across the lines of a
-    frame, at each of the 16 places in a strip; at each, the strip with the largest ones, as at an edge, is left out.
-    """
-    result = []
-    for pixels in strips:
-        difference = pixels[:, :, apart : _PERIOD + apart] - pixels[:, :, :_PERIOD]
+        strips = pixels.reshape(len(frames), -1, _PERIOD + 2, pixels.shape[2])
+        difference = strips[:, :, apart : _PERIOD + apart] - strips[:, :, :_PERIOD]
         squares = np.add.reduce(difference * difference, 3) / difference.shape[3]
         result.append((squares.sum(1) - squares.max(1)) / max(squares.shape[1] - 1, 1))
     return np.concatenate(result, 1)

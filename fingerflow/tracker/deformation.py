@@ -62,8 +62,7 @@ class Displacement(NamedTuple):
         onset: (N, 2, 2) mm^2, covariance by the error of the time of onset.
         gain: (N,) factor by which overlapping windows raise the variance of gradients (`OverlapErrors.variance_gain`).
         entered: points that were advected into the contact, with gradients since their entry; None if there are none.
-        late: (2, N) variance of divergence and curl of these points by the error of the time of entry, 0 for others;
-            not set in streams.
+        late: (2, N) variance of divergence and curl of these points by the error of the time of entry, 0 for others.
         unseen: (n, N) mm^2, variance of a component by touches that may have begun before they were seen.
         passing: (n, N) bool, touches that do not last: beside skin that has been dragged along, they are no strain.
     """
@@ -75,7 +74,7 @@ class Displacement(NamedTuple):
     onset: Array
     gain: Array
     entered: EnteredPoints | None
-    late: Array | float = 0.0
+    late: Array
     unseen: Array | float = 0.0
     passing: Array | None = None
 

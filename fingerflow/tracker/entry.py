@@ -126,6 +126,13 @@ def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_m
     return result
 
 
+def variance_of_late(late: Array) -> Array:
+    """Return the variances (2, N) of divergence and curl whose gradients err by `late` (N, 2, 2)."""
+    (xx, xy), (yx, yy) = np.moveaxis(late, 0, -1)
+    result: Array = np.square((xx + yy, yx - xy))
+    return result
+
+
 class EntryGradients:
     """Computation, frame by frame, of the displacement gradients of advected points, each relative to its state when it
     entered the contact.
@@ -201,8 +208,11 @@ class Entries:
     Attributes:
         entered: (N,) bool, points that have been advected into the contact.
         onset: (N,) index of the frame in which the present touch began, -1 without one.
-        of_onset: (N, 2, 2) mm^2, covariance of the displacements by the error of the time of onset. It is known once
-            `learn_errors` was called after the onset, and 0 before.
+        of_onset: (N, 2, 2) mm^2, covariance of the displacements by the error of the time of onset. Until
+            `learn_errors` is called after the onset, it is the mean of the points that touched before.
+        begun: number of the frame after the first in which the first point touched; 0 before.
+        late: (N, 2, 2) error of the gradients of advected points by one standard deviation of the time of entry: their
+            change in the frames after it, in proportion.
     """
 
     KEPT = 512  # number of latest frames that are kept, in which the motion before an onset is known
@@ -216,10 +226,11 @@ class Entries:
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
         self._frames = 0  # number of frames so far
-        self._learnt = 0  # number of frames when errors were learnt last
         self.onset, self._reference = np.full(count, -1), np.full((count, 2), np.nan)
         self.entered = np.zeros(count, dtype=bool)
-        self.of_onset = np.zeros((count, 2, 2))
+        self.of_onset, self.late = np.zeros((2, count, 2, 2))
+        self._mean_of_onset, self._variance_of_time = np.zeros((2, 2)), np.zeros(count)
+        self.begun = 0
         self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
     def update(
@@ -243,8 +254,10 @@ class Entries:
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching] = -1, False
         if np.logical_or.reduce(begins):
+            self.begun = self.begun or self._frames
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
-            self._at_entry[begins], self.of_onset[begins] = np.nan, 0  # forgets the gradient of an earlier touch
+            self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
+            self.late[begins] = 0
             self._mark_advected(begins)
         elif not np.logical_or.reduce(self.entered):
             self._frames += 1
@@ -266,15 +279,19 @@ class Entries:
         since[queries] = now @ inverse_2x2(self._at_entry[queries]) - _EYE
         covariance[queries] = spread[0] + self._covariance[queries]
         since[~self.entered] = covariance[~self.entered] = np.nan
+        elapsed = self._frames - 1 - self.onset
+        early = ((elapsed > 0) & (elapsed <= EntryGradients.BEFORE) & self.entered).nonzero()[0]
+        per_frame = np.nan_to_num(since[early]) / elapsed[early, None, None]
+        self.late[early] = per_frame * np.sqrt(self._variance_of_time[early])[:, None, None]
         gradients = (values.astype(np.float32)[None] for values in (since, covariance))
         return EnteredPoints(self.entered[None].copy(), *gradients)
 
     def learn_errors(self) -> None:
-        """Compute the errors of the times of onset of the points that have touched since the last call but one, as the
-        motion behind an onset is known by now.
+        """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
+        around their onset is known by now, or in part.
         """
-        recent = self.onset >= max(self._learnt - (self._frames - self._learnt), 0)
-        self._learnt, first, last = self._frames, max(self._frames - self.KEPT, 0), self._frames - 1
+        recent = self.onset >= max(self._frames - 2 * EntryGradients.BEFORE, 1)
+        first, last = max(self._frames - self.KEPT, 0), self._frames - 1
         if not recent.any():
             return
         points = np.arange(len(self.onset))
@@ -285,8 +302,9 @@ class Entries:
 
         border = self._border.select(np.arange(first, last + 1) % self.KEPT)
         onset, frames = self.onset - first, (-first, last - first)
-        _, of_onset = onset_errors(self._engine, onset, self._reference, self.entered, frames, positions, border)
-        self.of_onset[recent] = of_onset[recent]
+        variance, of_onset = onset_errors(self._engine, onset, self._reference, self.entered, frames, positions, border)
+        self.of_onset[recent], self._variance_of_time[recent] = of_onset[recent], variance[recent]
+        self._mean_of_onset = of_onset[recent].mean(0)
 
     def _mark_advected(self, begins: Array) -> None:
         """Update the mask `entered` (N,) of advected points: test which of the points whose touch begins in this frame,

@@ -15,7 +15,7 @@ from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
-from fingerflow.tracker.entry import Entries
+from fingerflow.tracker.entry import Entries, variance_of_late
 from fingerflow.tracker.onset import Touches, interpolate_displacement
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
@@ -153,10 +153,12 @@ class FrameResults:
         entered = self._entries.update(
             position[0], variance, touch.begins[0], touch.touching[0], touch.position[0], skin.border
         )
-        if self._frames % EVERY == 0:
+        # Of the first skin in contact, errors of onsets are not known from skin that touched before.
+        if self._frames % EVERY == 0 or self._frames < self._entries.begun + 2 * EVERY:
             self._entries.learn_errors()
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position
         moved[0, np.isnan(self._inherited)] = np.nan
-        curvature, onset = skin.curvature * px2, self._entries.of_onset
-        return Displacement(touch.position[0], moved, noise, curvature, onset, self._gain, entered)
+        entries, reference, curvature = self._entries, touch.position[0], skin.curvature * px2
+        late = variance_of_late(entries.late)
+        return Displacement(reference, moved, noise, curvature, entries.of_onset, self._gain, entered, late)

@@ -351,8 +351,7 @@ class StreamTracker:
         counted from contact onset restart. Return the event.
         """
         motion = None if self._points is None else self._points.motion.seeded(points)
-        image, again = self._engine.images(view), self._points is None
-        self._points = Points(self._engine, image, points, motion=motion, knowledge=STREAM, again=again)
+        self._points = Points(self._engine, self._engine.images(view), points, motion=motion, knowledge=STREAM)
         self.seeded, self._latest = int(is_finite(points).sum()), number
         self._seeding = Seeding(points, before)
         self._reseeding.restarted(self._index, number, self.seeded)
@@ -384,8 +383,11 @@ class StreamTracker:
         """
         points, frame = self._points, work.frame
         assert points is not None
-        points.pass_over(max(frame.number - self._latest - 1, 0))
-        tracked_points, self._latest = points.follow(work.images[TOPOGRAPHY_VIEW]), frame.number
+        if frame.number == self._latest:  # the key frame
+            tracked_points = points.as_seeded
+        else:
+            points.pass_over(frame.number - self._latest - 1)
+            tracked_points, self._latest = points.follow(work.images[TOPOGRAPHY_VIEW]), frame.number
         tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.

@@ -99,12 +99,11 @@ class Points:
         *,
         template: str = "keyframe",
         knowledge: Knowledge = RECORDING,
-        again: bool = False,
     ) -> None:
         """Prepare the templates of `points` (N, 2) px in the key frame `image` (1, 1, h, w).
 
         `around` (A, 2) px are the surrounding points in it; NaN stands for no point. By default the points are at rest
-        (`motion`). `again` is True if the key frame itself is tracked too.
+        (`motion`).
         """
         self._engine, self._knowledge, self._by_key = engine, knowledge, template == "keyframe"
         points = np.ascontiguousarray(points, np.float32)
@@ -120,7 +119,7 @@ class Points:
         self._pending: list[_Pending] = []
         self._preparing = threading.Lock()
         # Frames tracked since the key frame, those at the last check of templates, and frames skipped since the last.
-        self._followed = self._checked = 0 if again else 1
+        self._followed = self._checked = 1
         self._gap = 0
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
         self._templates = engine.prepare(image, points)

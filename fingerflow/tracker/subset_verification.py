@@ -114,9 +114,11 @@ class Verification:
         away = np.square(shift).sum(1)
         held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
         self.correlation = (1 - loss).astype(np.float32)
+        # Robust weights find 0.7 of the distance by which dust pulls a point, so that the variance of a coordinate is
+        # the square of the shift, less what its own error explains; where no sample is excluded nothing pulls it.
+        pull = (excluded > 0) * away * np.maximum(1 - 2 / np.maximum(deviations, 1) ** 2, 0)
         # A point that cannot be checked keeps its previous result.
-        # Robust weights find 0.7 of the distance by which dust pulls a point, so this is the variance of a coordinate.
-        verified = Verified(loss > limit, held, away.astype(np.float32))
+        verified = Verified(loss > limit, held, pull.astype(np.float32))
         self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, verified, strict=True)))
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 

@@ -36,7 +36,7 @@ def table() -> pd.DataFrame:
         "gross_contact_area": 70.1 * own, "real_contact_area": 23.7 * own * draw.normal(1, 0.05, count),
         "force_angle": np.radians((9.9 - 5.7 * share) * draw.gamma(4.0, 0.25, count)),
         "divergence": 1e-3 * (4 + 9 * share + draw.normal(0, 1.0, count)),
-        "strain_energy": draw.gamma(0.4, 0.8, count) + 0.6 * share,
+        "strain_energy": draw.gamma(0.4, 0.8, count) + 0.15 * share,
         "strain_energy_rate": draw.gamma(4.0, 0.3, count), "strain_rate": draw.gamma(4.0, 0.01, count),
         "force_of_strain_rate": draw.normal(0.37, 0.05, count),
         "force_of_strain_energy_rate": draw.normal(0.4, 0.05, count),
@@ -45,11 +45,9 @@ def table() -> pd.DataFrame:
     values["curl"] = 0.2 * values["divergence"] + draw.normal(0, 0.0005, count)
     for force in FORCES_N:
         values[f"gross_contact_area_at_{force:g}n"] = 14 * own * force * draw.normal(1, 0.02, count)
-        values[f"real_contact_area_at_{force:g}n"] = (
-            6 * own * force * (1 - 0.38 * share) * draw.gamma(12, 1 / 12, count)
-        )
-    for name, column in values.items():
-        frame[name] = column
+        real = 6 * own * force * (1 - 0.38 * share) * draw.gamma(12, 1 / 12, count)
+        values[f"real_contact_area_at_{force:g}n"] = real
+    frame = frame.assign(**values)
     frame["reference"] = np.where(is_comparison, np.roll(frame["trial"], 1), "")
     found = differences(frame)
     felt = found[f"divergence{DIFFERENCE}"] + draw.normal(0, 2e-3, count)
@@ -62,14 +60,10 @@ def table() -> pd.DataFrame:
 
 
 def curves() -> pd.DataFrame:
-    """Return curves of real area and strain by amplitude; the strain is flat above 2 N."""
+    """Return curves of strain by amplitude, flat above 2 N."""
     force = np.linspace(0.25, 4, 16)
-    shapes = {"real_contact_area": 8 * force, "strain": 0.01 * np.minimum(force, 2.0)}
-    return pd.concat(
-        pd.DataFrame({"metric": metric, "condition": amplitude, "normal_force_N": force, "mean": mean})
-        for metric, mean in shapes.items()
-        for amplitude in DESIGN.amplitudes
-    )
+    strain = {"metric": "strain", "normal_force_N": force, "mean": 0.01 * np.minimum(force, 2.0)}
+    return pd.concat(pd.DataFrame(strain | {"condition": amplitude}) for amplitude in DESIGN.amplitudes)
 
 
 def study() -> PressStudy:

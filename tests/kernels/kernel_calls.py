@@ -129,6 +129,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             *(contact_threshold, frames, glass, black, np.ones(2, np.float32)), median_px=3, radius=8, stride_px=1
         ),
         "covered": call(covers, glass, points[None], np.ones((2, 3), np.float32), 4),
+        "strip_differences": call(compiled("strip_differences"), frames=frames, apart=1),
         "block_means": call(compiled("block_means"), frames=frames, down=2, along=2, rows=4, columns=4),
         "correct_points": call(
             tracking.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0

@@ -1,5 +1,7 @@
 """Tests of means of blocks and lines: the compiled form against NumPy's and against torch's adaptive pooling."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -7,16 +9,16 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.tracker import block_means as module
-from fingerflow.tracker.block_means import block_means
+from fingerflow.tracker.block_means import block_means, strip_differences
 from tests.kernels.kernel_images import images
 
 SHAPES = [(2, 512, 640), (1, 480, 500), (3, 150, 37), (2, 1, 1), (1, 1, 900), (2, 700, 3), (0, 60, 70), (1, 131, 321)]
 
 
-def portable(frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarray]:
+def portable(frames: np.ndarray, monkeypatch: pytest.MonkeyPatch, function: Any = block_means, *settings: int) -> Any:
     with monkeypatch.context() as patch:
         patch.setattr(module, "is_present", lambda: False)
-        return block_means(frames)
+        return function(frames, *settings)
 
 
 @pytest.mark.parametrize("dtype", [*kernels.FRAME_KINDS, torch.float64, torch.int16])
@@ -35,6 +37,9 @@ def test_compiled_block_means_agree_with_the_portable_form(
             np.testing.assert_allclose(one, other, rtol=2e-7)
         else:
             assert np.array_equal(one, other)
+    for apart in (1, 2) if len(frames) else ():
+        squares = portable(frames[:, 0].numpy(), monkeypatch, strip_differences, apart)
+        np.testing.assert_allclose(strip_differences(frames[:, 0].numpy(), apart), squares, rtol=1e-5, atol=1e-7)
     down, along = (max(1, side // samples) for side, samples in zip(shape[1:], (128, 160), strict=True))
     sampled = frames[:, 0].numpy()[:, down // 2 :: down, along // 2 :: along]
     rows, columns = (min(max(1, side // 24), 16, read) for side, read in zip(shape[1:], sampled.shape[1:], strict=True))

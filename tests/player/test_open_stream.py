@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import fingerflow
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
+from fingerflow.tracker.frame_results import RESULTS
 
 
 @pytest.fixture
@@ -31,6 +32,7 @@ def played(stream: Stream) -> Path:
 def test_report_and_tables(played: Path, tmp_path: Path) -> None:
     with pytest.raises(FingerflowError, match="is no results folder of a stream"):
         fingerflow.open_stream(tmp_path)
+    assert set(RESULTS) <= set(fingerflow.open_stream(played).data_vars)  # no variable of the records is left out
     assert CliRunner().invoke(app, ["report", str(played)], catch_exceptions=False).exit_code == 0
     page = (played / "report.html").read_text(encoding="utf-8")
     assert "fingertip on glass, a stream" in page

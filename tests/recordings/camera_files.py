@@ -121,13 +121,7 @@ def write_photron(folder: Path, data: bytes, header: str = ".cih", **changes: ob
 
 
 def write_video(
-    path: Path,
-    frames: np.ndarray,
-    codec: str,
-    pixels: str,
-    rate: int = 300,
-    ticks: Sequence[int] = range(1 << 30),
-    **options: str,
+    path: Path, frames: np.ndarray, codec: str, pixels: str, rate: int = 300, ticks: Sequence[int] = (), **options: str
 ) -> Path:
     """Encode grey frames (N, H, W) or colour frames (N, H, W, 3) with time stamps in ticks of 1 / `rate` s; planes are
     filled directly, without conversion.
@@ -136,7 +130,7 @@ def write_video(
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=Fraction(rate), options=options)
         stream.width, stream.height, stream.pix_fmt = width, height, pixels
-        for tick, values in zip(ticks, frames, strict=False):
+        for tick, values in zip(ticks or range(len(frames)), frames, strict=True):
             frame = av.VideoFrame(width, height, pixels)
             for plane_number, plane in enumerate(frame.planes):
                 buffer = np.frombuffer(plane, values.dtype).reshape(plane.height, -1).copy()

@@ -50,13 +50,9 @@ def test_a_table_brings_the_figures_of_its_columns_and_the_others_say_why() -> N
     ]
     letters = {name: [panel.letter for panel in sheet.panels] for name, sheet in sheets.items() if sheet.panels}
     assert letters == {
-        "S5": ["H", "I"],
-        "S7": ["A", "C"],
-        "S8": ["G", "H"],
-        "S11": ["A", "B", "C, d'", "C, AUC"],
-        "S12": ["A", "B, stiffer skin", "B, softer skin", "C"],
-        "S13": ["C"],
-    }
+        "S5": ["H", "I"], "S7": ["A", "C"], "S8": ["G", "H"], "S11": ["A", "B", "C, d'", "C, AUC"],
+        "S12": ["A", "B, stiffer skin", "B, softer skin", "C"], "S13": ["C"],
+    }  # fmt: skip
     metrics = sheets["S11"].figure().axes[2].get_yticklabels()
     assert [label.get_text() for label in metrics] == ["divergence", "global displacement", "force rate"]
 

@@ -10,14 +10,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, read_trials, repeated_anova
 from fingerflow.report import trial_metrics as metrics
 
-FOUR = {
-    "participant": ["p"] * 4,
-    "trial": [1, 2, 3, 4],
-    "condition": [0] * 4,
-    "answer": [True] * 4,
-    "curl": [1e-3, 2e-3, 3e-3, 4.1e-3],
-    "strain": [1e-3, 2e-3, 3e-3, 4e-3],
-}
+FOUR = {"participant": ["p"] * 4, "trial": [1, 2, 3, 4], "condition": [0] * 4, "answer": [True] * 4,
+        "curl": [1e-3, 2e-3, 3e-3, 4.1e-3], "strain": [1e-3, 2e-3, 3e-3, 4e-3]}  # fmt: skip
 AMPLITUDES = (0.0, 1.0, 2.0)
 
 

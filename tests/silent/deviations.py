@@ -24,6 +24,7 @@ from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_gradients
+from fingerflow.results.stream_result import open_stream
 from fingerflow.schema.recipe import Recipe, ViewRecipe
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import ChainPress, PartialSlip, Press
@@ -44,6 +45,7 @@ _STEPS_MM = 0.07, 0.15
 _LEAST_MM2 = 10.0  # contact from which medians and energies are compared
 _STRAINS = ("exx", "eyy", "exy")
 _ENTERED = ENTRY.index("entered")
+_AT_POINTS = "position_px", "position_std_px", "entered", "divergence", "divergence_std", "curl", "curl_std"
 _UNDISTORTED = 0.6  # least stretch between the triangle of the places of onset and that of the skin
 
 
@@ -151,10 +153,7 @@ class _Skin:
             ),
         }
         gradient = self.gradient(frame)
-        for name, true in {
-            "divergence": gradient[:, 0, 0] + gradient[:, 1, 1],
-            "curl": gradient[:, 1, 0] - gradient[:, 0, 1],
-        }.items():
+        for name, true in fields_of(gradient).items():
             errors[name] = (result[name].values[frame] - true, result[f"{name}_std"].values[frame])
         true_strain = self._strain(moved, frame)
         density = strain_energy_density(torch.from_numpy(true_strain)).numpy()
@@ -207,12 +206,14 @@ def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors
         true["ellipse_semi_axes"] = sorted(ellipse.semi_axes, reverse=True)
         gradient = _of_contact_skin(scene, frame)
         true |= {f"median_{name}": value for name, value in medians_of(gradient).items()}
-        if isinstance(scene, _PRESSES):
+        if "strain_energy" not in result:
+            pass  # a stream has none
+        elif isinstance(scene, _PRESSES):
             names = "strain_energy", "strain_energy_between_points"
             true |= dict(zip(names, energy_since_onset(scene, result, frame, step), strict=True))
         else:
             true["strain_energy"] = float(np.nansum(energies(gradient, step)))
-    if isinstance(scene, PartialSlip):
+    if isinstance(scene, PartialSlip) and "stuck_ratio" in result:
         true["stuck_ratio"] = scene.stuck_share(frame)
     errors = {}
     for name, value in true.items():
@@ -235,31 +236,33 @@ def _of_contact_skin(scene: SyntheticScene, frame: int) -> Array:
 def medians_of(gradient: Array) -> dict[str, float]:
     """Return the medians of divergence, curl and strain components over displacement gradients (N, 2, 2)."""
     strain = green_lagrange(torch.from_numpy(gradient)).numpy()
-    fields = {"divergence": gradient[:, 0, 0] + gradient[:, 1, 1], "curl": gradient[:, 1, 0] - gradient[:, 0, 1]}
-    fields |= {f"strain {name}": strain[:, column] for column, name in enumerate(_STRAINS)}
+    fields = fields_of(gradient) | {f"strain {name}": strain[:, column] for column, name in enumerate(_STRAINS)}
     return {name: float(np.nanmedian(one)) for name, one in fields.items()}
 
 
 def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
-    """Return errors and stated deviations of the records of a stream, by quantity."""
+    """Return errors and stated deviations of the results of a stream, by quantity."""
     rows, columns = scene.views["topography"].shape
     bundle = write_library_bundle(recording / "bundle", Recipe(views=ViewRecipe(height=rows, width=columns)))
-    return compared_live(records_of(bundle, recording / "scene.toml"), scene)
-
-
-def compared_live(records: Array, scene: SyntheticScene) -> Errors:
-    """Return errors and stated deviations of records, by quantity."""
-    truth, found = scene.truth, defaultdict(list)
-    frames = np.flatnonzero(records["restart"] == records["restart"][-1])
-    position = records["position_px"]
-    material = material_of(position[frames], scene) if frames[0] == 0 else None
+    records_of(bundle, recording / "scene.toml")
+    result, truth, found = open_stream(recording / "results").load(), scene.truth, defaultdict(list)
+    seeded_last = np.flatnonzero(result["restart"] == result["restart"][-1])
+    material = material_of(result["position_px"].values[seeded_last], scene) if seeded_last[0] == 0 else None
     for frame in np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int)).tolist():
-        if material is not None and frame in frames:
-            some = np.isfinite(material).all(-1) & (records["status"][frame] == TrackStatus.TRACKED)
+        if material is not None:
+            some = np.isfinite(material).all(-1) & (result["status"].values[frame] == TrackStatus.TRACKED)
+            now = {name: result[name].values[frame][some] for name in _AT_POINTS}
             true = truth.topography_pixels(truth.positions(material[some], frame))
-            stated = records["position_std_px"][frame][some][:, None].repeat(2, 1)
-            found["position"].append((position[frame][some] - true, stated))
-        if truth.gross_contact_area_mm2(frame) > _LEAST_MM2:
-            error = records["median_divergence"][frame] - medians_of(_of_contact_skin(scene, frame))["divergence"]
-            found["median_divergence"].append((np.array([error]), records["median_divergence_std"][frame][None]))
+            found["position"].append((now["position_px"] - true, now["position_std_px"][:, None].repeat(2, 1)))
+            since = [of(material[some], frame) for of in (truth.gradient, truth.entry_gradient)]
+            gradient = np.where(now["entered"][:, None, None], since[1], since[0])
+            for name, field in fields_of(gradient).items():
+                found[name].append((now[name] - field, now[f"{name}_std"]))
+        for name, one in _of_contact(result, scene, frame).items():
+            found[name].append(one)
     return _joined(found)
+
+
+def fields_of(gradient: Array) -> dict[str, Array]:
+    """Return divergence and curl (N,) of displacement gradients (N, 2, 2)."""
+    return {"divergence": gradient[:, 0, 0] + gradient[:, 1, 1], "curl": gradient[:, 1, 0] - gradient[:, 0, 1]}

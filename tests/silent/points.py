@@ -25,6 +25,7 @@ from fingerflow.synthetic.texture import RidgeTexture
 from tests.recordings.camera_files import write_video
 from tests.silent.case import Case, without_fault
 from tests.silent.contact import PRESS
+from tests.silent.deviation_scenes import scenes
 from tests.small_trials import scene_beside, warnings_of
 
 Array = np.ndarray[Any, Any]
@@ -54,6 +55,7 @@ def cases(few: bool = False) -> Iterator[Case]:
     for path in sorted(FINGERS.glob("*.tif")):
         press = replace(scene_of_print(Press, path, DPI), n_frames=60, frame_rate=60.0, frames_before_trigger=3)
         trials[f"press of {path.stem}"] = press
+    trials |= {name: scene for name, scene in scenes() if isinstance(scene, Press)}
     for name, trial in trials.items():
         with tempfile.TemporaryDirectory() as folder:
             write_quietly(Path(folder) / "trial", trial)

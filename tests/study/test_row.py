@@ -101,15 +101,11 @@ def test_nothing_is_made_up_where_a_force_does_not_come() -> None:
     assert all(value is None for force, value in zip(FORCE_GRID, curves["divergence"], strict=True) if force > 1.25)
 
 
-def test_a_trial_without_contact_has_no_numbers() -> None:
+def test_without_contact_nothing_and_without_forces_the_largest_area_counts() -> None:
     row, curves = measure(_result(gross_contact_area=np.zeros(FRAMES)))
     assert all(row[name] is None for name in NUMBERS)
     assert curves == {}
-
-
-def test_without_forces_the_largest_area_is_the_maximum() -> None:
-    without = _result().drop_vars(["normal_force", "load_ratio"])
-    row, curves = measure(without)
+    row, curves = measure(_result().drop_vars(["normal_force", "load_ratio"]))
     assert row["max_force"] is None
     assert row["divergence"] == pytest.approx(0.05)
     assert row["divergence_at_1n"] is None

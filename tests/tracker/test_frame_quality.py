@@ -3,6 +3,7 @@ frames.
 """
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,18 +94,16 @@ def test_flickering_light_is_no_bad_frame_once_it_is_known() -> None:
 
 
 def _disorder(picture: Array, draw: np.random.Generator, size: int) -> Array:
-    """Return a picture (192, 240) with its blocks of `size` px in disorder."""
-    shape = 192 // size, size, 240 // size, size
-    blocks = draw.permutation(picture.reshape(shape).swapaxes(1, 2).reshape(-1, size, size))
-    return blocks.reshape(shape[0], shape[2], size, size).swapaxes(1, 2).reshape(192, 240)
+    """Return a picture whose rows and columns of blocks of `size` px are in disorder."""
+    groups = [draw.permutation(side // size)[:, None] * size + np.arange(size) for side in picture.shape]
+    return picture[np.ix_(*map(np.ravel, groups))]
 
 
 _SPOIL: dict[str, Any] = {
     "noise": lambda picture, draw: draw.normal(127, 70, picture.shape),
     "noise over it": lambda picture, draw: picture + draw.normal(0, 70, picture.shape),
     "lines": lambda picture, draw: draw.permutation(picture),
-    "blocks of 8 px": lambda picture, draw: _disorder(picture, draw, 8),
-    "blocks of 16 px": lambda picture, draw: _disorder(picture, draw, 16),
+    **{f"blocks of {size} px": partial(_disorder, size=size) for size in (8, 16)},
 }
 
 

@@ -86,10 +86,7 @@ def test_degenerate_input_has_a_clear_answer() -> None:
         assert math.isnan(estimate.value) == reason.startswith(UNKNOWN)
         assert all(map(math.isnan, estimate.interval))
         assert reason in estimate.reason
-    for metric, message in (
-        ([1.0, math.inf], "infinite: mark what was not measured with NaN"),
-        (several, "name that of every trial"),
-    ):
+    for metric, message in (([1.0, math.inf], "infinite: mark what was not"), (several, "name that of every trial")):
         with pytest.raises(ValueError, match=message):
             auc(metric, several, (own[:2], own))
 

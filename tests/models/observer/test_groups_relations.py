@@ -21,8 +21,7 @@ def test_two_groups_are_found() -> None:
     draw = np.random.default_rng(0)
     values = np.append(draw.normal(10, 1.5, 10), draw.normal(20, 1.5, 8))
     found = participant_groups(values, resamples=200)
-    assert found.groups == 2
-    assert found.p < 0.01
+    assert (found.groups, found.p < 0.01) == (2, True)
     assert found.means == pytest.approx((10, 20), abs=1.5)
     assert found.shares == pytest.approx((10 / 18, 8 / 18), abs=0.02)
     assert (found.membership > 0.5).tolist() == [False] * 10 + [True] * 8
@@ -30,10 +29,8 @@ def test_two_groups_are_found() -> None:
     shifted = participant_groups(1e-3 * values + 100, resamples=200)
     assert shifted.p == found.p
     assert shifted.border == pytest.approx(1e-3 * found.border + 100)
-    parts = [
-        share * stats.norm.pdf(values, mean, found.deviation)
-        for share, mean in zip(found.shares, found.means, strict=True)
-    ]
+    pairs = zip(found.shares, found.means, strict=True)
+    parts = [share * stats.norm.pdf(values, mean, found.deviation) for share, mean in pairs]
     two, one = np.log(sum(parts)).sum(), stats.norm.logpdf(values, values.mean(), values.std()).sum()
     assert found.likelihood_ratio == pytest.approx(2 * (two - one), abs=1e-9)
     np.testing.assert_allclose(found.membership, parts[1] / sum(parts), atol=1e-9)
@@ -86,8 +83,8 @@ def test_the_regression_by_hand_and_where_there_is_none() -> None:
     assert (found.trials, found.participants, found.missing) == (8, 3, 2)
     assert (found.p < 0.05) == (not found.interval[0] <= 0 <= found.interval[1])
     assert "from 1 participants" in clustered_regression([1.0, 2.0], [0, 1], [0, 0], [0, 0]).reason
-    assert "equal within each participant" in clustered_regression([1.0, 1.0], [0, 1], [0, 0], [0, 0]).reason
-    assert "equal within each participant" in clustered_regression([], [], [], []).reason
+    for metric, answer in (([1.0, 1.0], [0, 1]), ([], [])):
+        assert "equal within each" in clustered_regression(metric, answer, [0] * len(answer), [0] * len(answer)).reason
     with pytest.raises(ValueError, match="give one of each a trial"):
         clustered_regression([1.0], [0, 1], [0, 0], [0, 0])
 

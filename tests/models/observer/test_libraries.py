@@ -48,7 +48,10 @@ FULL, WITH_GAPS = observer.repeated_anova(X, GROUP, WHO), observer.repeated_anov
 PAIR = observer.repeated_anova(X[GROUP < 2], GROUP[GROUP < 2], WHO[GROUP < 2])
 RM = AnovaRM(TABLE, "x", "who", ["group"], aggregate_func="mean").fit().anova_table
 MEANS = X.reshape(7, 4, 2).mean(2)
-SLOPE = ols("answer ~ x + C(who):C(group)", TABLE).fit().params["x"]
+SLOPE = observer.clustered_regression(X, ANSWER, GROUP, WHO)
+OLS = ols("answer ~ x + C(who):C(group)", TABLE).fit(cov_type="cluster", cov_kwds={"groups": WHO}, use_t=True)
+# statsmodels takes the 28 intercepts for estimated numbers, which lie within the clusters here.
+OLS_ERROR = OLS.bse["x"] * math.sqrt(OLS.df_resid / (56 - 1))
 P = {"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.8, "e": 0.9}  # beside one that is unknown
 CASES = {
     "Pearson": (observer.pearson(X, Y, WHO).value, stats.pearsonr(X, Y).statistic),
@@ -62,7 +65,8 @@ CASES = {
     "false alarms": (observer.share_above(9, Y, WHO).interval, proportion_confint(0, 56, 0.05, "wilson")),
     "Holm": ([*holm(P | {"f": math.nan}).values()][:-1], multipletests(list(P.values()), method="holm")[1]),
     "repeated F with gaps": (WITH_GAPS.f, random_effects(), 0.03),
-    "clustered slope": (observer.clustered_regression(X, ANSWER, GROUP, WHO).value, SLOPE),
+    "clustered slope": (SLOPE.value, OLS.params["x"]),
+    "its error": ((SLOPE.interval[1] - SLOPE.value) / stats.t.ppf(0.975, 6), OLS_ERROR),
     "threshold": (FITTED.threshold, psychometric()[0], 0.02),
     "width": (FITTED.width, psychometric()[1], 0.04),
 }

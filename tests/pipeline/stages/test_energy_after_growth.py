@@ -18,10 +18,12 @@ from tests.small_trials import edit_scene
 
 _SHAPE: dict[str, Any] = {"frame_shape": (418, 1044), "finger": (6.2, 5.2), "semi_axes": (4.4, 3.6)}
 _PRESS = CourseOfPress(**_SHAPE, n_frames=60, frame_rate=60.0, frames_before_trigger=3)
+_SLOW = replace(_PRESS, n_frames=30, frame_rate=30.0, frames_before_trigger=1)
 _LATE = strained(_PRESS, 1.5)
 #: Course, print, and number of points.
 COURSES = {
     "saturates early": (replace(_PRESS, grown=0.6, held=0.85), "101_1", 700),
+    "saturates early, 30 frames/s": (replace(_SLOW, grown=0.6, held=0.85), "101_1", 700),
     "saturates, few points": (replace(_LATE, grown=0.8, held=0.95), "101_2", 300),
     "is dragged far": (replace(_PRESS, grown=0.5, held=0.9, dragged=(0.3, 0.1)), "101_4", 700),
     "is released": (replace(_PRESS, grown=0.5, held=0.65, lifts=0.7, released=0.8), "104_2", 700),
@@ -44,7 +46,7 @@ def test_energy_once_the_contact_stops_growing(tmp_path: Path) -> None:
     """Contact grows for 0.5 s, and the skin moves on for another 0.2 s: a field that vanishes at the border would be 29
     deviations off.
     """
-    press = replace(strained(_PRESS, 2.0), grown=0.7, held=0.95, n_frames=30, frame_rate=30.0, frames_before_trigger=1)
+    press = replace(strained(_SLOW, 2.0), grown=0.7, held=0.95)
     assert abs(z_of_energies(press, tmp_path, 700, 6)).max() < 3
 
 

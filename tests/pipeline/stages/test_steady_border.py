@@ -38,3 +38,10 @@ def test_frames_of_other_contacts_do_not_count() -> None:
         found = steady_border(other, TIMES)
         np.testing.assert_allclose(found.semi_axes[:50], steady_border(growing(50), TIMES[:50]).semi_axes, atol=1e-6)
         np.testing.assert_allclose(found.semi_axes[50:], other.semi_axes[50:], atol=1e-9)
+
+
+def test_a_border_that_stops_between_two_frames_is_followed() -> None:
+    """A border that grows by 0.25 mm a frame, and stops, is followed to 10 um, where a parabola is 40 um off."""
+    radius = np.minimum(1 + 0.25 * np.arange(20), 3.9)[:, None] * np.ones(2)
+    found = steady_border(FrameEllipse(0 * radius, radius, np.zeros(20)), np.arange(20) / 30)
+    np.testing.assert_allclose(found.semi_axes, radius, atol=0.01)

@@ -41,8 +41,8 @@ class ContactStage(Stage):
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
-        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or ridges
-            cover little of it; else 0.
+        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or by which
+            it is uncertain, as ridges cover little of it; else 0.
     """
 
     name = "contact"

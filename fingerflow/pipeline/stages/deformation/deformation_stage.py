@@ -28,7 +28,7 @@ from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
-from fingerflow.tracker.entry import EntryGradients, advected
+from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
 
 Points = NDArray[np.float64]
@@ -245,8 +245,7 @@ class DeformationStage(Stage):
         entered, late = None, np.zeros((2, len(self.reference)))
         if self._entry is not None:
             entered = self._gradients_since_entry(self._entry, frames)  # sets `late` of points that enter
-            (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
-            late[:, self.entered] = np.square((xx + yy, yx - xy))
+            late[:, self.entered] = variance_of_late(self._entry.late)
         more = self.of_onset, self._gain, entered, late, unseen, passing
         return Displacement(self.reference, moved, noise, curvature, *more)
 

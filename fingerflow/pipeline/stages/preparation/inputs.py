@@ -138,11 +138,9 @@ class Inputs:
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
             same = still[self.scene.recording.first_frame :][: len(self.recording)]
-            if len(same) == len(self.recording) > 1:
-                first, second = (read_frames(frames[[0, -1]]) for frames in (same, self.recording))
-                if np.array_equal(first, second):
-                    what = "the background is the recording itself; name one of the empty glass"
-                    raise FingerflowError(f"{path}: {what}")
+            alike, ends = len(same) == len(self.recording) > 1, [0, -1]
+            if alike and np.array_equal(read_frames(same[ends]), read_frames(self.recording[ends])):
+                raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
             whole = [index for index in range(len(part)) if index not in part.unreadable]

@@ -415,16 +415,28 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
     ]
 
 
-def check_energy(energy: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
-    """Return a warning if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide."""
-    unknown = np.flatnonzero(np.isnan(energy) & (gross > np.pi * gauge_mm**2))
-    if not len(unknown):
-        return []
-    return [
-        f"the strain energy is NaN in {len(unknown)} frames with contact, the first is {unknown[0] + first_frame}: the "
-        f"strain is known in less than half of the area of the triangles there, or in none within half a gauge length "
-        f"of the border. Their points are lost (status says why), or seeded in too small a [stream] region"
-    ]
+def check_energy(
+    energy: Series, gross: Series, misfit: NDArray[np.bool_], gauge_mm: float, first_frame: int
+) -> list[str]:
+    """Return warnings if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide, or no
+    smooth field explains the displacements there (`misfit`).
+    """
+    wide = gross > np.pi * gauge_mm**2
+    unknown, misfits = np.flatnonzero(np.isnan(energy) & wide), np.flatnonzero(misfit & wide)
+    warnings = []
+    if len(unknown):
+        warnings.append(
+            f"the strain energy is NaN in {len(unknown)} frames with contact, the first is {unknown[0] + first_frame}: "
+            f"the strain is known in less than half of the area of the triangles there, or in none within half a gauge "
+            f"length of the border. Their points are lost (status says why), or seeded in too small a [stream] region"
+        )
+    if len(misfits):
+        warnings.append(
+            f"no smooth field explains the displacements well in {len(misfits)} frames with contact, the first is "
+            f"{misfits[0] + first_frame}: skin slips, or points err by more than is stated. There the strain energy is "
+            f"in part or as a whole the sum over the triangles between points, which lacks some of it"
+        )
+    return warnings
 
 
 def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:

@@ -75,15 +75,13 @@ def compare_views(
     """
     correlation, reach = _correlation(skin, topography, topography_to_contact)
     peak = correlation.max()
-    peaks = {"": peak}
     if not peak > _WEAKER:  # else no other picture, whose correlation is at most 1, is so much more alike
         pictures = {"left to right": topography[:, ::-1], "top to bottom": topography[::-1]}
         pictures["both ways"] = topography[::-1, ::-1]
-        for name, turned in pictures.items():
-            peaks[name] = _correlation(skin, turned, topography_to_contact)[0].max()
-    name = max(peaks, key=lambda turned: peaks[turned])
-    if peaks[name] >= _LEAST_CORRELATION and peak < _WEAKER * peaks[name]:
-        return name, 0.0
+        peaks = {name: _correlation(skin, turned, topography_to_contact)[0].max() for name, turned in pictures.items()}
+        name = max(peaks, key=lambda turned: peaks[turned])
+        if peaks[name] >= _LEAST_CORRELATION and peak < _WEAKER * peaks[name]:
+            return name, 0.0
     if not peak >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * peak:
         return "", 0.0
     down, across = np.unravel_index(np.argmax(correlation), correlation.shape)

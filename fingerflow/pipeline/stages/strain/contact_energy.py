@@ -36,19 +36,23 @@ GROWTH_MM = 0.04  # growth of the border's mean radius that shows beside its err
 # what is above moves the border's position by no more than its deviation.
 _LAG = 0.25
 _DECISIVE = 100.0  # difference of the evidence; it is -70 to 40 while the border advances, and 300 to 7,000 after
-_UNKNOWN = 4.0  # variance of the residuals, relative to the stated one, above which no smooth field fits: skin slips
+# Variance of the residuals, relative to the stated one, above which smooth fields begin not to fit: skin slips. From
+# twice as much on none fits.
+_UNKNOWN = 4.0
 _MISFIT = 5e-3  # residuals, relative to the RMS displacement, by which polynomials of this degree miss smooth fields
 _BORDER_FRAMES = 8  # in which the relative effect of the border is taken as constant: it needs a second fit
 
 
 class FrameEnergies(NamedTuple):
-    """Strain energies (n,) of the contact in n frames and their standard deviations, mJ per mm of skin depth, and
-    whether the skin at the border has moved since its onset.
+    """Strain energies (n,) of the contact in n frames and their standard deviations, mJ per mm of skin depth, whether
+    the skin at the border has moved since its onset, and the trust in these energies: 1 where residuals are errors of
+    the displacements, falling to 0 where they are so large that no smooth field explains them.
     """
 
     energy: Array
     deviation: Array
     moves: NDArray[np.bool_]
+    trust: Array
 
 
 class ContactEnergy:
@@ -98,7 +102,7 @@ class ContactEnergy:
         counts = counts & np.isfinite(displacement[..., 0] + displacement[..., 1]) & np.isfinite(variance)
         of_point = np.maximum(variance, _LEAST_MM**2) * (1 + (self._shared @ counts.T.astype(np.float64)).T)
         energy, deviation = np.full((2, len(counts)), np.nan)
-        result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool))
+        result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool), np.ones(len(counts)))
         depth = border.inside(position)
         outer, inner = ((counts & (depth >= low) & (depth < low + _OUTER_MM)).any(1) for low in (0.0, _OUTER_MM))
         frames = np.flatnonzero(outer & inner)
@@ -119,7 +123,9 @@ class ContactEnergy:
         likelier.
         """
         field = self._functions.fit(*points.on_disc())
-        result = FrameEnergies(*self._estimate(field, points), np.zeros(len(points.axes), bool))
+        result = FrameEnergies(
+            *self._estimate(field, points), np.zeros(len(points.axes), bool), np.ones(len(points.axes))
+        )
         noise = field.noise.copy()
         prior, unresolved = _border_motion(points, since_growth, depth)
         frames = np.flatnonzero(prior > 0)
@@ -132,13 +138,14 @@ class ContactEnergy:
             frames, likelier = frames[either], likelier[either]
             noise[frames] = np.where(likelier, moving.noise[either], noise[frames])
             half = np.where(unresolved[frames], (result.energy[frames] - energy) / 2, 0)
-            for values, of_moving in zip(result, (energy + half, deviation, ~unresolved[frames]), strict=True):
+            for values, of_moving in zip(result[:3], (energy + half, deviation, ~unresolved[frames]), strict=True):
                 values[frames] = np.where(likelier, of_moving, values[frames])
             result.deviation[frames] = np.hypot(result.deviation[frames], half)
         number, total = (points.weight > 0).sum(1), points.weight.sum(1)
         # Variance of the residuals, relative to the stated one, up to which they may be those of any smooth field.
         smooth = _MISFIT**2 * (points.moved**2).sum((1, 2)) / 2 / number**2 * total
-        result.energy[noise > np.maximum(_UNKNOWN, smooth)] = np.nan
+        result.trust[:] = np.clip(2 - noise / np.maximum(_UNKNOWN, smooth), 0, 1)
+        result.energy[result.trust == 0] = np.nan
         return result
 
     def _estimate(self, field: BorderFields, points: "_Points", at_border: Array | None = None) -> tuple[Array, Array]:

@@ -70,6 +70,7 @@ class StrainStage(Stage):
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
         self._energy, self._energy_std, self._between, self._between_std = np.full((4, len(trial)), np.nan)
+        self._misfit = np.zeros(len(trial), bool)
 
     def begin(self) -> None:
         self.warnings.extend(plausibility.check_young_modulus(self._settings.young_modulus_mpa))
@@ -220,11 +221,13 @@ class StrainStage(Stage):
 
         whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
         fitted = np.isfinite(whole.energy)
-        self._energy[frames[fitted]] = whole.energy[fitted]
         # The field resolves strain that rises towards the border, triangles do not: what they lack in all.
         lacking = whole.energy[fitted] - (between + rim)[fitted]
+        doubt = 1 - whole.trust[fitted]
+        self._energy[frames[fitted]] = whole.energy[fitted] - doubt * lacking
+        self._misfit[frames] = whole.trust < 1
         # Skin that has moved at the border leaves its displacement there to be extrapolated: both energies then err.
-        by_border = np.where(whole.moves[fitted], lacking, 0.0)
+        by_border = np.maximum(whole.moves[fitted], doubt) * lacking
         self._energy_std[frames[fitted]] = np.hypot(whole.deviation[fitted], by_border)
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
         share = np.where(lacking < 0, 1.0, _INSIDE)
@@ -273,7 +276,7 @@ class StrainStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         nothing = gross == 0
         gauge, first_frame = self.inputs.scene.fields.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_energy(self._energy, gross, gauge, first_frame))
+        self.warnings.extend(plausibility.check_energy(self._energy, gross, self._misfit, gauge, first_frame))
         for name, values in {
             "strain_energy": self._energy,
             "strain_energy_std": self._energy_std,
