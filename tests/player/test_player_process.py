@@ -2,6 +2,7 @@
 stream`.
 """
 
+import json
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from tiny_bundle import POINTS
 from bench.bare_environment import ONNX, make_environment, variables
 from fingerflow import player
 from fingerflow.export.carried_modules import carry_modules
+from fingerflow.export.write_bundle import write_facts
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +33,9 @@ def test_a_player_that_is_ended_leaves_whole_results(python: Path, stream: Strea
     up to a second before.
     """
     carry_modules(stream.bundle)
+    facts = json.loads((stream.bundle / "bundle.json").read_text())
+    (stream.bundle / "bundle.json").unlink()
+    write_facts(facts["recipe"], facts["expected"], stream.bundle)  # lists the modules too
     options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1"]
     command = [str(python), "-m", "fingerflow.player", *options, "--source", "synthetic", "--rate", "100"]
     process = subprocess.Popen(command, env=variables(), cwd=stream.bundle, stderr=subprocess.PIPE, text=True)
