@@ -2,7 +2,6 @@
 stream`.
 """
 
-import json
 import signal
 import subprocess
 import sys
@@ -12,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Stream
-from tiny_bundle import POINTS
+from tiny_bundle import POINTS, write_bundle
 
 from bench.bare_environment import ONNX, make_environment, variables
 from fingerflow import player
 from fingerflow.export.carried_modules import carry_modules
-from fingerflow.export.write_bundle import write_facts
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +30,8 @@ def test_a_player_that_is_ended_leaves_whole_results(python: Path, stream: Strea
     """The player in the bundle's folder, without torch, ends cleanly after Ctrl-C; one that is killed has the records
     up to a second before.
     """
-    carry_modules(stream.bundle)
-    facts = json.loads((stream.bundle / "bundle.json").read_text())
-    (stream.bundle / "bundle.json").unlink()
-    write_facts(facts["recipe"], facts["expected"], stream.bundle)  # lists the modules too
+    carry_modules(stream.folder / "whole")
+    stream.bundle = write_bundle(stream.folder / "whole")
     options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1"]
     command = [str(python), "-m", "fingerflow.player", *options, "--source", "synthetic", "--rate", "100"]
     process = subprocess.Popen(command, env=variables(), cwd=stream.bundle, stderr=subprocess.PIPE, text=True)

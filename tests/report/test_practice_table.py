@@ -67,9 +67,8 @@ def test_the_command_prints_lines_for_the_scene(
     stated = load_scene(written)
     result = process(stated, to=tmp_path / "pressed.h5")
     assert command("noise-floor", stated.recording.frames, "--scene", tmp_path / "pressed.h5") == 0
-    printed, warned = capsys.readouterr()
-    assert "points move by" in warned  # skin of a press does
-    assert f"in the scene file {written}:" in printed
+    assert "points move by" in (told := capsys.readouterr()).err  # skin of a press does
+    assert f"in the scene file {written}:" in told.out
     assert json.loads(result.attrs["settings"])["rig"]["noise_floor"] == floor
     rows = {name: value for table in practice_tables(result, stated).values() for name, value in table}
     assert f"noise floor, displacement: {1e3 * floor['displacement_mm']:.3g} µm" in _text(rows)
