@@ -115,7 +115,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
 
     The files of its graphs are no graphs; the numbers of its built-in frame are those of the compiled library here.
     """
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for name in GRAPHS:
         (folder / f"{name}.onnx").write_text(f"no graph, {name}")
     settings = asdict(recipe)

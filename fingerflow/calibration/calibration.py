@@ -35,11 +35,17 @@ class Calibration:
     warnings: tuple[str, ...] = ()
     lens: Lens | None = None
 
+    @property
+    def mm_per_px_std(self) -> float:
+        """Return the standard deviation of the scale, by the edge of the hole; `hole_radius_mm` counts as exact."""
+        return self.mm_per_px * self.hole.radius_sigma_px / self.hole.radius_px
+
     def to_toml(self) -> str:
         """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
             f"mm_per_px = {_value(self.mm_per_px)}",
+            f"mm_per_px_std = {_value(self.mm_per_px_std)}",
             f"warnings = {_value(self.warnings)}",
         ]
         if self.lens is not None:

@@ -22,6 +22,8 @@ TUKEY_LIMIT = 4.685
 # ellipse on noise-free drawings. With a smaller spread good points would be rejected and the coverage of a perfect disc
 # would fall.
 LEAST_EDGE_SPREAD_PX = 0.01
+# The blur of a lens moves the steepest point of a curved edge inwards by blur^2 / 2R; this is not corrected.
+_BLUR_SHIFT_PX = 0.02
 # The errors of a ragged edge are correlated along the contour, so the number of its points does not give the error of
 # the centre. In polar form harmonic 1 is a shift of the centre and harmonic 2 the ellipse. The next harmonics estimate
 # the contribution of the raggedness to harmonic 1.
@@ -52,6 +54,13 @@ class Disc:
     def radius_px(self) -> float:
         """Return the radius, px, of a circle with the area of the disc."""
         return float(np.sqrt(self.semi_axes_px[0] * self.semi_axes_px[1]))
+
+    @property
+    def radius_sigma_px(self) -> float:
+        """Return the standard deviation of the radius, px: from the scatter of the edge, whose mean has half the
+        variance of a component of the centre, and from its blur.
+        """
+        return float(np.hypot(self.center_sigma_px / np.sqrt(2), _BLUR_SHIFT_PX))
 
     @property
     def axis_ratio(self) -> float:

@@ -102,6 +102,7 @@ def calibrate(
     distortion of the lens from a chessboard.
     """
     from fingerflow.calibration import calibrate_files
+    from fingerflow.schema.rounding import format_uncertainty
     from fingerflow.schema.views import View
 
     if topography is not None and target is None:
@@ -111,8 +112,10 @@ def calibrate(
     calibration = calibrate_files(
         ring, target, background, views, hole_radius_mm, output, overwrite, chessboard, corners
     )
+    scale = calibration.mm_per_px, calibration.mm_per_px_std
     facts: dict[str, Any] = {
-        "mm_per_px": calibration.mm_per_px,
+        "mm_per_px": scale[0] if as_json else format_uncertainty(*scale),
+        "mm_per_px_std": scale[1],
         "hole_radius_px": calibration.hole.radius_px,
         "affine": None if calibration.affine is None else calibration.affine.matrix.tolist(),
         "similarity_rms_px": None if calibration.similarity is None else calibration.similarity.rms_px,

@@ -60,7 +60,8 @@ def noise_floor(
     from fingerflow.schema.toml_value import toml_value
     from fingerflow.schema.variables import VARIABLES
 
-    still = still_scene(scene_in(scene), frames.resolve())
+    settings = scene_in(scene)
+    still = still_scene(settings, frames.resolve())
     measured = process_scene(still, [*MEASURED, "displacement_std"], quiet=as_json)
     floor = floor_of(measured, still)
     for warning in moved(measured, floor):
@@ -71,7 +72,7 @@ def noise_floor(
         f"{name:14}{variable.shown_unit.factor * value:.3g} {variable.shown_unit.name}"
         for name, value, variable in zip(MEASURED, floors.values(), map(VARIABLES.__getitem__, MEASURED), strict=False)
     ]
-    lines += ["", f"For the report, in {scene}:", "[rig]", f"noise_floor = {toml_value(floors)}"]
+    lines += ["", f"For the report, in the scene file {settings.path}:", "[rig]", f"noise_floor = {toml_value(floors)}"]
     tell(floors, "\n".join(lines), as_json)
 
 

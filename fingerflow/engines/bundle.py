@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+import sys
+from collections.abc import Container, Mapping
 from dataclasses import asdict, dataclass
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from fingerflow.schema.text_file import check_file, read_text
 _AGAIN = "export the bundle again, or copy its folder again"
 _MOST_FACTS = 1 << 26  # bytes of bundle.json, which has some 100 kB for 700 points
 _FILE_NAME = re.compile(r"(?!.*\.\.)\w[\w.+-]*(/\w[\w.+-]*)*")  # relative, below the folder on every system
+_COMPILED = (".pyc", ".so", ".pyd", ".dll", ".dylib")
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Bundle:
 def load_bundle(folder: Path) -> Bundle:
     """Load the deployment bundle of a folder and check the hash of every file that bundle.json lists.
 
-    Raise FingerflowError for a missing, damaged or foreign file.
+    Raise FingerflowError for a missing, damaged or foreign file, and for code that bundle.json does not list.
     """
     path = folder / "bundle.json"
     try:
@@ -75,6 +78,9 @@ def load_bundle(folder: Path) -> Bundle:
             raise FingerflowError(f"{path}: has no proper entry {name!r}; {_AGAIN}")
     try:
         recipe = parse_recipe(facts["recipe"], path)
+        if not facts["files"]:
+            raise FingerflowError(f"{path}: lists no file")
+        _check_code(folder, facts["files"])
         for name, digest in facts["files"].items():
             _check_hash(folder, name, digest)
     except FingerflowError as error:
@@ -95,6 +101,24 @@ def load_bundle(folder: Path) -> Bundle:
         points=recipe.tracking.points,
         engine_settings=recipe.engine_settings,
     )
+
+
+def _check_code(folder: Path, listed: Container[str]) -> None:
+    """Raise FingerflowError if there is code that is not `listed`: compiled code, a module in the package, or a module
+    beside it that hides an installed one of its name. A camera's module of the user is none of these.
+    """
+    elsewhere = [entry for entry in sys.path if Path(entry).resolve() != folder.resolve()]
+    package = [path for path in folder.glob("fingerflow/**/*") if path.parent.name != "__pycache__"]
+    for path in (*package, *folder.iterdir(), *folder.glob("*/__init__.py")):
+        name = path.relative_to(folder).as_posix()
+        module = name.split("/")[0].split(".")[0]
+        foreign = path.suffix in _COMPILED
+        if path.suffix == ".py" or (path.is_symlink() and path.is_dir()):
+            foreign = module in ("fingerflow", *sys.stdlib_module_names) or bool(
+                PathFinder.find_spec(module, elsewhere)
+            )
+        if foreign and name not in listed:
+            raise FingerflowError(f"{path}: is code that bundle.json does not list; remove it, or rename your module")
 
 
 def _check_hash(folder: Path, name: str, digest: str) -> None:

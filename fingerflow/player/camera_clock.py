@@ -14,8 +14,8 @@ _MOST_JUMPS, _LEAST_PASSED = 3, 0.1  # frames in a row, and s, in which stamps r
 _UNITS = (1e-3, 1e-6, 1e-9, 60.0, 3600.0, 86400.0)  # s: what stamps count besides seconds
 _LEAST = 1e-9  # s between two frames that arrive at once
 # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it. Share of it by which stamps fall
-# behind arrivals where they are in a larger unit than s.
-_WINDOW, _LATE = 5.0, 0.97
+# behind arrivals where they are in a larger unit than s, and in two windows in a row where they are of another rate.
+_WINDOW, _LATE, _OFF = 5.0, 0.97, 0.05
 
 
 def unix_now() -> float:
@@ -34,8 +34,9 @@ class CameraClock:
 
     Stamps are compared with arrivals: between two frames they cannot advance by much more than arrivals do. Where they
     do so from frame to frame, they count ms, us or ns and are converted, or are refused; as are those that hardly
-    advance within 5 s, which may count minutes, hours or days. Where they run ahead once, or where a stamp is missing
-    or not after the one before, time advances by arrivals over that interval. So it never runs backwards.
+    advance within 5 s, which may count minutes, hours or days, and those whose rate differs by over 5 % from that of
+    arrivals in two windows of 5 s in a row. Where they run ahead once, or where a stamp is missing or not after the one
+    before, time advances by arrivals over that interval. So it never runs backwards.
 
     Attributes:
         has_stamps: whether the last frame had a usable time stamp of its camera.
@@ -50,6 +51,8 @@ class CameraClock:
         self._jumps, self._began = 0, math.nan
         # s, least offset between arrival and stamp in the present window, and in the window before.
         self._least = self._before = math.inf
+        # s, offset at the begin of the present window; share of the window before by which stamps fell behind.
+        self._offset, self._behind = math.nan, 0.0
 
     def update(self, stamp: float, arrival: float) -> tuple[float, float]:
         """Convert a frame's time stamp by the camera and its arrival here, s, to two exposure times in s: one for
@@ -69,14 +72,17 @@ class CameraClock:
         self._time = arrival if math.isnan(self._arrival) else self._time + (step if usable else max(passed, _LEAST))
         self._last, self._arrival = stamp, arrival
         if not usable:
-            self._least, self._before, self._began = arrival - stamp, math.inf, arrival
+            self._least = self._offset = arrival - stamp
+            self._before, self._began, self._behind = math.inf, arrival, 0.0
             return self._time, arrival
         if (window := arrival - self._began) > _WINDOW:
-            late = arrival - stamp - self._least
-            if late > _LATE * (window - passed) + passed:
-                self._time += late
+            late = arrival - stamp - self._offset
+            behind = late / window if abs(late) > _OFF * window else 0.0
+            if late > _LATE * (window - passed) + passed or behind * self._behind > 0:
+                self._time = max(self._time, arrival)
                 self._find_unit(window - late, window)
             self._before, self._least, self._began = self._least, math.inf, arrival
+            self._offset, self._behind = arrival - stamp, behind
         self._least = min(self._least, arrival - stamp)
         return self._time, stamp + min(self._least, self._before)
 

@@ -9,6 +9,7 @@ import h5py
 import xarray as xr
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.recordings.guard.checked_hdf5 import MARK as MARK
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.file_checks import reading
@@ -21,7 +22,6 @@ _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
     *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
 }
-MARK = "fingerflow_version"  # attribute that identifies a result file
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:

@@ -57,7 +57,8 @@ def decimal_point(text: str, separator: str | None) -> str:
     if len(marks) == 2 and cell is not None:
         other = re.search(rf"[^\s;]*[{',' if '.' in cell[0] else '.'}][^\s;]*", text)
         beside = f"{cell[0]!r} beside {'' if other is None else other[0]!r}"
-        raise ValueError(f"points and commas in one table, {beside}: one of them is a thousands mark; {advice}")
+        wrong = "one of them is a thousands mark, or columns differ in their decimal mark"
+        raise ValueError(f"points and commas in one table, {beside}: {wrong}; {advice} and with one decimal mark")
     for mark in marks:
         sure = rf"(?<![\d.,])0+[{mark}]|(?<!\d)[{mark}]|\d{{4}}[{mark}]|[{mark}](?!\d{{3}}(?![\deE]))"
         if cell is not None and (mark == "," or separator in (";", "\t")) and not re.search(sure, text):

@@ -13,7 +13,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import Reader
 from fingerflow.schema.scene_check import Keys, SceneCheck
 from fingerflow.schema.scene_kinds import KINDS, default_kind
-from fingerflow.schema.scene_tables import SCENE, VIEW
+from fingerflow.schema.scene_tables import SCENE, SETTINGS_FORMAT, VIEW
 from fingerflow.schema.scene_tables import ForceSettings as ForceSettings
 from fingerflow.schema.scene_tables import NoiseFloor as NoiseFloor
 from fingerflow.schema.scene_tables import Scene as Scene
@@ -60,10 +60,13 @@ def scene_of_settings(settings: str) -> Scene:
     """Return the scene from which a result was computed, given the JSON text of the result's attribute `settings`.
 
     Raises:
-        FingerflowError: a file that it names is missing, or a key is no longer valid; with the remedy.
+        FingerflowError: a file that it names is missing, a key is no longer valid, or a later version wrote the
+            settings; with the remedy.
     """
     stored = json.loads(settings)
     path = Path(stored.pop("path"))
+    if (version := stored.pop("format", 0)) > SETTINGS_FORMAT:
+        raise FingerflowError(f"{path}: the settings in its result have format {version}; update fingerflow")
     scene_kind = stored.setdefault("kind", default_kind(stored))
     shown = KINDS[scene_kind].all_views if scene_kind in KINDS else ()
     stored["views"] = {

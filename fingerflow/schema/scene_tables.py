@@ -214,6 +214,7 @@ class FieldSettings(GaugeSettings):
     rate_window_s: float = key("over which rates are fitted", 0.05, POSITIVE, label="time window of rates")
 
 
+SETTINGS_FORMAT = 1  # of settings in results, increased whenever older versions cannot read them; absent is 0
 STEP = 3  # px, spacing of the samples of a window (`Engine.windows`): 81 in a window of 25 px
 
 
@@ -381,10 +382,12 @@ class Scene:
         return True
 
     def as_json(self) -> str:
-        """Return all settings of the scene, including defaults, as JSON text with tables and keys as in the file."""
+        """Return all settings of the scene, including defaults, as JSON text with tables and keys as in the file, and
+        the `format` of this text.
+        """
         settings: dict[str, Any] = _plain(self)
         del settings["given"]
-        return json.dumps(settings)
+        return json.dumps({"format": SETTINGS_FORMAT, **settings})
 
 
 def _plain(value: Any) -> Any:

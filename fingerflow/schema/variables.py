@@ -64,12 +64,14 @@ def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
     """Return the standard deviation, mm^2, of the gross contact area in each frame, from the semi-axes (frames, 2), mm,
     of its ellipse and the real contact area (frames,).
 
-    Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one.
+    Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one;
+    where nothing touches, the deviation is that of the real area.
     The constants are measured on presses through real prints (docs/methods/contact.md).
     """
     small = 0.3**2 / (1 + (pi / 1.5 * semi_axes.prod(-1)) ** 4)
     deviation = ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2 + small) ** 0.5
-    deviation[(deviation != deviation) & (real_area > 0)] = 0.25
+    for seen, value in ((real_area > 0, 0.25), (real_area == 0, 0.01)):
+        deviation[(deviation != deviation) & seen] = value
     return deviation
 
 
@@ -149,7 +151,8 @@ CONTACT = (
         "standard deviation of the gross contact area, by the ridge spacing",
         equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
         "ellipse, b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 "
-        "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse; plus 4 π gross faint_rim_mm²",
+        "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse, 0.01 mm² where nothing touches; plus "
+        "4 π gross faint_rim_mm²",
         formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area"),
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
@@ -301,7 +304,8 @@ FIELDS = (
         "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip", "f4",
         equation="u − (R X + t), R and t the rotation and the shift of least squares", shown_in=MICROMETRE,
         unasked=False, label="non-rigid motion"),
-    Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual",
+    Variable("rigid_residual_median", FRAME, "mm",
+        "median length of rigid_residual; NaN below 0.85 of field_coverage, and of fewer than 4 points",
         equation=f"median of {_RIGID_EQUATION}", shown_in=MICROMETRE, label="median non-rigid motion"),
     Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_FIELD_STD_EQUATION,
         shown_in=UM_PER_MM),

@@ -237,7 +237,8 @@ class _Trial:
         numbers["unloading_area_ratio"] = float((fallen / grown)[0])
         if deviation is not None:
             errors = [
-                _at(half, self._share, deviation / self._area, frames) for frames in (self._rising, self._falling)
+                _at(half, self._share, deviation / np.where(self._area > 0, self._area, np.nan), frames)
+                for frames in (self._rising, self._falling)
             ]
             numbers["unloading_area_ratio_std"] = float(np.hypot(*errors)[0] * (fallen / grown)[0])
         return numbers

@@ -3,6 +3,7 @@
 import tomllib
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,12 @@ OBLIQUE[:, 2] = np.array(MIDDLE) - OBLIQUE[:, :2] @ MIDDLE
 
 def applied(matrix: Array, points: Array) -> Array:
     return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+
+
+Discs = tuple[DrawnDisc, ...]
+_OTHER = DrawnDisc(20, 20, 29, 29), DrawnDisc(250, 30, 20, 20), DrawnDisc(130, 70, 20, 20)
+_LINE = tuple(DrawnDisc(40.0 + 60 * k, 50.0 + 45 * k, 20 + k, 20 + k) for k in range(3))
+_EVEN = tuple(DrawnDisc(128 + 80 * np.cos(t), 128 + 80 * np.sin(t), 20, 20) for t in 2 * np.pi * np.arange(3) / 3)
 
 
 def ring(hole_radius: float, noise: float = 1.0) -> Array:
@@ -94,14 +101,6 @@ def test_a_mirrored_view_is_said_with_its_transform() -> None:
     np.testing.assert_allclose(matrix["topography_to_contact"], MIRROR, atol=1e-9)
 
 
-def test_discs_on_a_line_are_said() -> None:
-    line = tuple(DrawnDisc(40.0 + 60 * k, 50.0 + 45 * k, 20 + k, 20 + k) for k in range(3))
-    with pytest.raises(FingerflowError, match=r"\(40, 50\), \(100, 95\), \(160, 140\) px are collinear.*not on a line"):
-        match_discs(as_found(line), as_found(TARGET))
-    with pytest.raises(FingerflowError, match="lie on a line"):
-        fit_affine([(0, 0), (1, 1), (2, 2)], [(0, 0), (1, 0), (0, 1)])
-
-
 def test_a_distractor_is_left_out() -> None:
     """A stain as dark and round as a disc is left out, in one view or elsewhere in both, even if it is the most
     significant.
@@ -123,26 +122,15 @@ def test_a_distractor_is_left_out() -> None:
     ("here", "there", "said"),
     [
         (TARGET[:2], TARGET, "2 discs in one view and 3 in the other; 3 are needed"),
-        (
-            TARGET,
-            (DrawnDisc(20, 20, 29, 29), DrawnDisc(250, 30, 20, 20), DrawnDisc(130, 70, 20, 20)),
-            "no three discs form the same triangle.*Check the pixel ranges",
-        ),
+        (TARGET, _OTHER, "no three discs form the same triangle.*Check the pixel ranges"),
+        (_LINE, TARGET, r"\(40, 50\), \(100, 95\), \(160, 140\) px are collinear.*not on a line"),
+        (_EVEN, _EVEN, r"more than one way.*different sizes"),
     ],
 )
-def test_discs_that_cannot_be_matched_are_said(
-    here: tuple[DrawnDisc, ...], there: tuple[DrawnDisc, ...], said: str
-) -> None:
+def test_discs_that_cannot_be_matched_are_said(here: Discs, there: Discs, said: str) -> None:
+    """A triangle of equal sides and equal discs is refused too, because a turn by 120 degrees cannot be seen."""
     with pytest.raises(FingerflowError, match=said):
         match_discs(as_found(here), as_found(there))
-
-
-def test_a_triangle_without_a_sense_of_direction_is_said() -> None:
-    """A triangle of equal sides and equal discs is refused, because a turn by 120 degrees cannot be seen."""
-    angles = 2 * np.pi * np.arange(3) / 3
-    even = tuple(DrawnDisc(128 + 80 * np.cos(t), 128 + 80 * np.sin(t), 20, 20) for t in angles)
-    with pytest.raises(FingerflowError, match=r"more than one way.*different sizes"):
-        match_discs(as_found(even), as_found(even))
 
 
 def test_too_few_discs_in_a_frame_are_said_with_what_was_found() -> None:
@@ -162,36 +150,35 @@ def test_a_similarity_is_exact_and_no_reflection() -> None:
     assert fit_similarity(source, applied(MIRROR, source)).rms_px > 10
     with pytest.raises(FingerflowError, match="coincide"):
         fit_similarity([(1, 2), (1, 2)], [(0, 0), (1, 1)])
+    with pytest.raises(FingerflowError, match="lie on a line"):
+        fit_affine([(0, 0), (1, 1), (2, 2)], [(0, 0), (1, 0), (0, 1)])
     with pytest.raises(FingerflowError, match=r"shapes \(2, 2\) and \(2, 2\).*at least 3"):
         fit_affine([(0, 0), (1, 0)], [(0, 0), (1, 0)])
 
 
 def test_calibration_frames_that_cannot_be_are_refused() -> None:
     whole = {"contact": View((0, 256), (0, 272))}
-    with pytest.raises(FingerflowError, match="'topography' is missing; views given: 'contact'"):
-        calibrate(draw(TARGET), ring(60), whole)
-    with pytest.raises(FingerflowError, match="radius of the ring's hole is -1"):
-        calibrate(None, ring(60), whole, hole_radius_mm=-1)
-    with pytest.raises(
-        FingerflowError, match="ring has 256 rows x 272 columns and that of the background 100 rows x 90"
-    ):
-        calibrate(None, ring(60), whole, background=np.zeros((100, 90)))
-    with pytest.raises(FingerflowError, match=r"\(256, 272, 3\)"):
-        calibrate(None, np.stack([ring(60)] * 3, axis=-1), whole)
-    with pytest.raises(FingerflowError, match="does not fit into a frame of 256 rows and 272 columns"):
-        calibrate(None, ring(60), {"contact": View((0, 512), (640, 1280))})
+    cases: list[tuple[str, dict[str, Any]]] = [
+        ("'topography' is missing; views given: 'contact'", {"target": draw(TARGET)}),
+        ("radius of the ring's hole is -1", {"hole_radius_mm": -1}),
+        ("ring has 256 rows x 272 columns and that of the background 100 rows", {"background": np.zeros((100, 90))}),
+        (r"\(256, 272, 3\)", {"ring": np.stack([ring(60)] * 3, axis=-1)}),
+        ("does not fit into a frame of 256 rows and 272", {"views": {"contact": View((0, 512), (640, 1280))}}),
+    ]
+    for said, changed in cases:
+        with pytest.raises(FingerflowError, match=said):
+            calibrate(**({"target": None, "ring": ring(60), "views": whole} | changed))
 
 
 @pytest.mark.parametrize("both", [True, False])
 def test_a_calibration_file_is_read_as_it_was_written(both: bool, tmp_path: Path) -> None:
     matrix = similarity(12.3456789, 1 / 3, MIDDLE, MIDDLE)
-    first, second = as_found(TARGET), as_found(moved(TARGET, matrix))
-    pairs = match_discs(first, second)
+    pairs = match_discs(as_found(TARGET), as_found(moved(TARGET, matrix)))
     points = [[pair[side].center for pair in pairs] for side in (0, 1)]
     written = Calibration(
         mm_per_px=0.1 + 0.2,
         hole_radius_mm=2.75,
-        hole=first[0],
+        hole=pairs[0][0],
         views=VIEWS if both else {"contact": VIEWS["contact"]},
         discs=tuple(pairs) if both else (),
         affine=fit_affine(*points) if both else None,
@@ -206,7 +193,7 @@ def test_a_calibration_file_is_read_as_it_was_written(both: bool, tmp_path: Path
     assert read.get("topography_to_contact") == (written.affine.matrix.tolist() if written.affine else None)
     table = tomllib.loads(written.to_toml())
     assert tuple(table["warnings"]) == written.warnings
-    assert table["hole"] == {"radius_mm": 2.75, **json_value(first[0])}
+    assert table["hole"] == {"radius_mm": 2.75, **json_value(pairs[0][0])}
     discs = [(pair["topography"], pair["contact"]) for pair in table.get("discs", [])]
     assert discs == [(json_value(one), json_value(other)) for one, other in written.discs]
     for name, transform in (("affine", written.affine), ("similarity", written.similarity)):

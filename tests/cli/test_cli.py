@@ -29,13 +29,6 @@ Printed = pytest.CaptureFixture[str]
 Patch = pytest.MonkeyPatch
 
 
-def test_info_as_json(command: Command, tmp_path: Path, capsys: Printed) -> None:
-    np.save(tmp_path / "frames.npy", np.zeros((5, 8, 10), dtype=np.uint8))
-    assert command("info", tmp_path / "frames.npy", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
-
-
 def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed) -> None:
     (tmp_path / "forces.csv").write_text("time (ms),Fz (mN)\n0,1\n2,5\n4,3\n")
     assert command("info", tmp_path / "forces.csv", "--json") == 0
@@ -49,7 +42,13 @@ def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed)
     with h5py.File(tmp_path / "both.h5", "w") as file:
         file["Fz"], file["frames"] = np.array([1.0, 5.0, 3.0]), np.zeros((5, 8, 10), np.uint8)
     assert command("info", tmp_path / "both.h5", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["frames"] == 5
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
+    for name in ("forces.h5", "both.h5"):
+        with h5py.File(tmp_path / name, "a") as file:
+            file.attrs["fingerflow_version"] = "0.1.0"
+        assert command("info", tmp_path / name) == 2
+        assert f"{name}: is a result of fingerflow" in capsys.readouterr().err
     (tmp_path / "forces.csv").write_text("nothing")
     assert command("info", tmp_path / "forces.csv") == 2
     assert "forces.csv" in capsys.readouterr().err
@@ -213,11 +212,13 @@ def test_what_cannot_be_written_is_said(command: Command, trial: Path, tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_calibration_of_one_view(command: Command, trial: Path, tmp_path: Path) -> None:
+def test_calibration_of_one_view(command: Command, trial: Path, tmp_path: Path, capsys: Printed) -> None:
     output = tmp_path / "calibration.toml"
     arguments = ("calibrate", "--ring", str(trial / "ring.png"), "--output", str(output), "--hole-radius-mm", "2.0")
     assert command(*arguments, "--contact", "10", "200", "5", "220") == 0
     text = output.read_text()
+    assert " ± 0.0000" in capsys.readouterr().out
+    assert 0 < float(text.split("mm_per_px_std = ")[1].split()[0]) < 1e-4
     assert "rows = [10, 200]" in text
     assert "columns = [5, 220]" in text
     # OpenCV's circle of radius 40 px covers the pixels within 40.5 px of its centre, without blur.

@@ -55,10 +55,19 @@ def test_the_printed_displacement_is_the_median_over_the_points(scene: Scene, re
 def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
     assert result["real_contact_area"].values[0] == 0
     assert result["gross_contact_area"].values[0] == 0
+    assert result["gross_contact_area_std"].values[0] == result["real_contact_area_std"].values[0] == 0.01
     for name in ("ellipse_angle", "median_divergence", "global_displacement"):
         assert np.isnan(result[name].values[0]), name
     never = result["onset_frame"].values < 0
     assert np.isnan(result["displacement"].values[:, never]).all()
+
+
+def test_the_rigid_residual_of_too_little_is_unknown(scene: Scene, result: xr.Dataset) -> None:
+    """Where coverage is below 0.85; and everywhere with three points, of which a rigid motion leaves nothing."""
+    residual = result["rigid_residual_median"].values
+    assert (np.isfinite(residual) == (result["field_coverage"].values >= 0.85)).all()
+    few = process(replace(scene, tracking=replace(scene.tracking, points=3)), ["rigid_residual_median"])
+    assert np.isnan(few["rigid_residual_median"]).all()
 
 
 def test_displacement_counts_from_the_way_to_the_onset(result: xr.Dataset) -> None:
@@ -113,6 +122,7 @@ def test_what_cannot_be_computed_is_named(scene: Scene, tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], str, str]] = [
         ({"background": itself}, "real_contact_area", "the recording itself"),
         ({"background": itself, "recording": later}, "real_contact_area", "the recording itself"),
+        ({"background": replace(scene.background, dark=scene.background.frames)}, "gross_contact_area", "as bright as"),
         ({}, "real_contact_aera", "did you mean 'real_contact_area'"),
         ({"views": alone}, "divergence", "topography"),
         ({"forces": None}, "normal_force", "forces"),

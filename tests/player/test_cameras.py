@@ -75,6 +75,16 @@ def test_time_never_runs_backwards_or_away_from_arrivals(
         np.testing.assert_allclose(np.diff(times[exact:]), 0.01, atol=1e-6)
 
 
+@pytest.mark.parametrize("rate", [0.5, 0.9, 1.1, 2.0, 1.0])
+def test_stamps_of_another_rate_are_refused(rate: float, caplog: pytest.LogCaptureFixture) -> None:
+    """Stamps at the true rate are believed although 60 frames wait for 3 s and a fifth of the frames are dropped."""
+    clock, true = CameraClock(), np.delete(np.arange(0, 16, 0.05), slice(3, None, 5))
+    arrivals = np.where((true > 6) & (true < 9), 9, true) + 2e-3 * np.random.default_rng(1).random(len(true))
+    times = [clock.update(*pair)[0] for pair in zip((5 + rate * true).tolist(), sorted(arrivals), strict=True)]
+    assert clock.has_stamps == (rate == 1) == ("they are not used" not in caplog.text)
+    np.testing.assert_allclose(np.diff(times[-80:]), np.diff(true[-80:]), atol=2.1e-3)
+
+
 def test_time_stamps_of_a_wrapper_are_those_of_the_records(stream: Stream) -> None:
     stamps = 5 + np.array([0, 0.003, 0.006, 0.0095, 0.012])
     given = [(frame(contact_px=10 * k), stamp) for k, stamp in enumerate(stamps)]

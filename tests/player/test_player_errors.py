@@ -134,12 +134,23 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     files = json.loads((stream.bundle / "bundle.json").read_text())["files"]
     _rewritten(stream.bundle, files=files | {"track.onnx": hashlib.sha256(whole[:-3]).hexdigest()})
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
-    _rewritten(stream.bundle, files={})
+    _rewritten(stream.bundle, files={"track.onnx": hashlib.sha256(whole[:-3]).hexdigest()})
     assert "without the graphs contact, threshold, noise," in said("--engine", "onnx")
-    assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
+    assert set(load_bundle(stream.bundle).files) == {"track"}  # the compiled library plays it
+    _rewritten(stream.bundle, files={})
+    assert "bundle.json: lists no file" in said()
     for name in ("../bundle/track.onnx", "/etc/passwd", "C:/x", "a\\b", "", "a/../b", "./track.onnx", "a\0b"):
         _rewritten(stream.bundle, files={name: "0"})
         assert "is no name of a file in its folder" in said()
+    stream.bundle = write_bundle(stream.folder / "code")
+    (stream.bundle / "my_camera.py").write_text("raise SystemExit")
+    for package in ("json", "fingerflow"):
+        (stream.bundle / package).mkdir()
+    assert load_bundle(stream.bundle).files
+    for name in ("any.so", "numpy.py", "json/__init__.py", "fingerflow/player.so"):
+        (stream.bundle / name).write_text("raise SystemExit")
+        assert f"{name}: is code that bundle.json does not list" in said()
+        (stream.bundle / name).unlink()
     os.mkfifo(stream.bundle / "pipe")
     for name, problem in (("pipe", "is a pipe, not a file"), ("nowhere", "no such file"), ("track.onnx", "has 0...")):
         _rewritten(stream.bundle, files={name: 0})

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Stream
-from tiny_bundle import POINTS
+from tiny_bundle import POINTS, write_bundle
 
 from bench.bare_environment import ONNX, make_environment, variables
 from fingerflow import player
@@ -30,7 +30,8 @@ def test_a_player_that_is_ended_leaves_whole_results(python: Path, stream: Strea
     """The player in the bundle's folder, without torch, ends cleanly after Ctrl-C; one that is killed has the records
     up to a second before.
     """
-    carry_modules(stream.bundle)
+    carry_modules(stream.folder / "whole")
+    stream.bundle = write_bundle(stream.folder / "whole")
     options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1"]
     command = [str(python), "-m", "fingerflow.player", *options, "--source", "synthetic", "--rate", "100"]
     process = subprocess.Popen(command, env=variables(), cwd=stream.bundle, stderr=subprocess.PIPE, text=True)

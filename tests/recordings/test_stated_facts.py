@@ -37,11 +37,11 @@ READ = {
     "a comma in a quoted name": ('"time (s)","Fz (N)","Fx, left (N)"\n' + re.sub("\n", ",0\n", LINES)).encode(),
 }  # fmt: skip
 REFUSED = {
-    "points and commas": ("time (s)\tFz (N)\n0.001\t1,234\n0.002\t1,235\n", "'0.001' beside '1,234'.*thousands"),
     "German thousands": ("time (s);Fz (N)\n0,001;1.234\n0,002;1.235\n", "thousands"),
     "either": ("time (ms)\tFz (mN)\n0\t1,234\n1\t1,236\n", "'1,234' may be decimal or have a thousands mark"),
     "either, with points": ("time (ms);Fz (mN)\n0;1.234\n1;12.365\n", "'1.234' may be decimal"),
     "quoted thousands": ('time (s),Fz (mN)\n0.001,"1,234"\n0.002,"1,235"\n', "thousands"),
+    "two decimal marks": ("t (s);Fz (N)\n0,001;0.01\n0,002;0.02\n", "'0,001' beside '0.01'.*with one decimal mark"),
     "millions": ("time (ms)\tFz (mN)\n0\t1,234,567\n1\t1,234,568\n", "thousands"),
     "time of day": (HEADING + "12:00:00.001,1\n12:00:00.002,1\n", "'12:00:00.001', a date or time of day"),
     "date": (HEADING + "2024-05-01,1\n2024-05-02,1\n", "a date or time of day.*sample_rate"),
@@ -95,6 +95,7 @@ def test_what_is_no_text_ends_in_a_sentence(case: str, tmp_path: Path) -> None:
         (["t=0.05", "t=0.5", "t=1", "t=1.5"], "decimal"),
         (["t_0.1", "t_0.25", "t_0.3"], "decimal"),
         (["t_5e-2", "t_1e-1", "t_2e-1"], "decimal"),
+        (["t0,05", "t0,1", "t0,5", "t1,0"], "decimal"),
         (["cam1.8", "cam1.9", "cam1.10"], ""),
         (["a1_-1", "a1_2", "a2_-5"], ""),
     ],
@@ -107,6 +108,16 @@ def test_images_are_in_the_order_of_their_numbers(names: list[str], warns: str, 
     assert [recording[index][0, 0] for index in whole] == list(range(len(names)))
     assert warns in " ".join(recording.warnings)
     assert bool(warns) == bool(recording.warnings)
+
+
+# A counter that starts again, a date, hexadecimal numbers; copies in the order of characters, and parallel writers.
+@pytest.mark.parametrize("names", ["s254 s255 s000 s001", "30-1 31-1 1-2 2-2", "8 9 a b 10 11 12 13"])
+@pytest.mark.parametrize("copied", ["", "1 10 11 12 2 3 4 5", "2 1 4 3 6 5 8 7 10 9 12 11"])
+def test_images_whose_names_and_times_have_another_order(names: str, copied: str, tmp_path: Path) -> None:
+    for second, name in enumerate((copied or names).split()):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((16, 24), np.uint8))
+        os.utime(tmp_path / f"{name}.png", (second, second))
+    assert ("was written before" in " ".join(open_recording(tmp_path).warnings)) == (not copied)
 
 
 @pytest.mark.parametrize("dtype", [*COMPUTED_TYPES, ">f4", ">f8", ">u2"])

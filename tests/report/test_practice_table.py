@@ -60,17 +60,18 @@ def test_the_command_prints_lines_for_the_scene(
     assert "no noise floor" not in warned
     lines = printed[printed.index("[rig]") :]
     floor = tomllib.loads(lines)["rig"]["noise_floor"]
+    assert f"displacement     {1e3 * floor['displacement_mm']:.3g} µm".split() == printed.splitlines()[0].split()
     written = scene.path.parent / "with_rig.toml"
     text = scene.path.read_text(encoding="utf-8")
     written.write_text(f'{text}\n{lines}camera = "Vendor X1"\naperture = 8\n', encoding="utf-8")
     stated = load_scene(written)
     result = process(stated, to=tmp_path / "pressed.h5")
     assert command("noise-floor", stated.recording.frames, "--scene", tmp_path / "pressed.h5") == 0
-    assert "points move by" in capsys.readouterr().err  # skin of a press does
+    assert "points move by" in (told := capsys.readouterr()).err  # skin of a press does
+    assert f"in the scene file {written}:" in told.out
     assert json.loads(result.attrs["settings"])["rig"]["noise_floor"] == floor
     rows = {name: value for table in practice_tables(result, stated).values() for name, value in table}
     assert f"noise floor, displacement: {1e3 * floor['displacement_mm']:.3g} µm" in _text(rows)
-    assert f"displacement     {1e3 * floor['displacement_mm']:.3g} µm".split() == printed.splitlines()[0].split()
     assert (rows["camera"], rows["aperture"], rows["lens"]) == ("Vendor X1", "f/8", "not stated: [rig] lens")
     assert rows["image resolution"] == "480 × 192 px, 8 bit"
     assert rows["field of view, contact"] == "7.8 × 6.24 mm (240 × 192 px)"

@@ -1,5 +1,6 @@
 """Tests of scene files: valid files are read, errors are named with their line."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -114,6 +115,16 @@ def test_a_profile_takes_the_place_of_defaults_and_of_nothing_else(folder: Path)
     path = write(folder, "[recording]", profile)
     path.write_text(path.read_text("utf-8").replace('"green_lagrange"', '"infinitesimal"', 1), "utf-8")
     assert "fields.strain is 'infinitesimal': the profile willemet_2021 has 'as_printed'" in message_of(path)
+
+
+def test_settings_of_results_of_other_versions(folder: Path) -> None:
+    scene = load_scene(write(folder))
+    older = json.loads(scene.as_json())
+    assert older.pop("format") == 1
+    assert scene_of_settings(json.dumps(older)) == scene_of_settings(scene.as_json())
+    for changed, said in (({"format": 2}, "format 2; update"), ({"fields": {"gauge_mm": 1.6}}, "fields.gauge_mm")):
+        with pytest.raises(FingerflowError, match=said):
+            scene_of_settings(json.dumps(older | changed))
 
 
 def test_a_scene_has_a_kind(folder: Path) -> None:

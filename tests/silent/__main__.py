@@ -7,6 +7,7 @@ number needs.
 import sys
 import time
 from importlib import import_module
+from pathlib import Path
 
 from bench.record import RESULTS, write_record
 from tests.silent.case import Case
@@ -14,8 +15,9 @@ from tests.silent.case import Case
 
 def main() -> None:
     """Run the group named on the command line."""
-    if len(sys.argv) != 2:
-        raise SystemExit("python -m tests.silent GROUP, the name of a module of tests/silent with a function cases()")
+    groups = [file.stem for file in sorted(Path(__file__).parent.glob("*.py")) if "\ndef cases(" in file.read_text()]
+    if len(sys.argv) != 2 or sys.argv[1] not in groups:
+        raise SystemExit(f"python -m tests.silent GROUP, one of {', '.join(groups)}")
     group, start = sys.argv[1], time.perf_counter()
     module = import_module(f"tests.silent.{group}")
     found = list(module.cases())

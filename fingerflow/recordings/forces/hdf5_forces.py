@@ -6,7 +6,7 @@ import h5py
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.force_table import ForceTable
-from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, read_whole
+from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, open_input, read_whole
 from fingerflow.recordings.guard.file_checks import reading
 
 
@@ -17,7 +17,7 @@ def read_table(path: Path) -> ForceTable:
     """
     table = ForceTable(path, {})
     rates: set[float] = set()
-    with open_hdf5(path) as file, reading(path, "HDF5"):
+    with open_input(path) as file, reading(path, "HDF5"):
 
         def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
             if (rate := number_attribute(item, "sample_rate", path)) is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import SAME_RATE, TO_SECONDS
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5, read_whole
+from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_input, read_whole
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often holds several frames and should be unpacked only once
@@ -30,7 +30,7 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
     that are missing, or cannot be in this one by its size.
     """
     with ExitStack() as opened, reading(path, "HDF5"):
-        file = opened.enter_context(open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
+        file = opened.enter_context(open_input(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
         description, frames = _describe(path, file, dataset)
         opened.pop_all()
     return FileRecording(description, partial(_frame, frames), file.close)

@@ -22,7 +22,7 @@ _ORIENTATION = re.compile(
     rb"(?s)(?:Exif\0\0|eXIf|\A)(?:II\*\0.*?\x12\x01\x03\0\x01\0\0\0(.)|MM\0\*.*?\x01\x12\0\x03\0\0\0\x01\0(.))"
 )
 # A number in a name: a sign, unless behind a digit, decimals and an exponent, each if there is one.
-_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:\.\d+)?(?:[eE][-+]\d+)?)")
+_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]\d+)?)")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
@@ -42,6 +42,7 @@ def open_frames(path: Path) -> FileRecording:
     if path.is_dir():
         files, warnings = _sort_files(path)
     there = [file for file in files if file is not None]
+    warnings += _check_order(there)
     first = _read_image(there[0])
     with there[0].open("rb") as opened:
         turned = _ORIENTATION.search(opened.read(_EXIF_BYTES))
@@ -162,6 +163,23 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
     return placed, (lacking, *warnings)
 
 
+def _check_order(files: list[Path]) -> tuple[str, ...]:
+    """Return a warning if `files`, in the order of their names, were written in another order, as where a counter
+    starts again or a date counts days first.
+
+    Copies and parallel writers change the times too: times in the order of characters, most of them in disorder, or
+    only neighbours exchanged, give no warning.
+    """
+    times = np.array([file.stat().st_mtime_ns for file in files])
+    moved = np.argsort(np.argsort(times)) - np.arange(len(files))
+    falls = np.flatnonzero(np.diff(times) < 0)
+    disorder = 0 < len(falls) <= len(files) / 4 and abs(moved).max() >= len(files) / 4
+    by_characters = times[sorted(range(len(files)), key=lambda index: files[index])]
+    if not disorder or len(np.unique(times)) < len(files) or (np.diff(by_characters) > 0).all():
+        return ()
+    return (f"{files[falls[0] + 1].name} was written before {files[falls[0]].name}, by their times: check the order",)
+
+
 def _numbered(files: list[Path]) -> tuple[list[Path], list[Decimal]]:
     """Return image files in the order of the numbers in their names, and the number of each if the names differ in one
     number only; otherwise an empty list.
@@ -183,10 +201,12 @@ def _values(before: str, numbers: list[str]) -> list[Decimal]:
     """Return the values of the numbers at one position of all names, which follow the text `before`.
 
     A hyphen behind a letter separates ("img-3") if all names have it; otherwise it is the sign of numbers before a
-    trigger. A point behind a constant number but 0 separates ("cam1.9", "cam1.10") before what may be a counter.
+    trigger. A point or comma is a decimal mark; behind a constant number but 0 it separates ("cam1.9", "cam1.10")
+    before what may be a counter.
     """
     if before[-1:].isalpha() and all(number.startswith("-") for number in numbers):
         numbers = [number[1:] for number in numbers]
+    numbers = [number.replace(",", ".") for number in numbers]
     wholes, _, digits = zip(*(number.partition(".") for number in numbers), strict=True)
     counted = all(digit.isdecimal() and digit[0] != "0" for digit in digits) and wholes[0].strip("+-0")
     if counted and len(set(wholes)) == 1 and len(set(map(len, digits))) > 1:

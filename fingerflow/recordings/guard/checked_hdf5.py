@@ -14,6 +14,7 @@ from fingerflow.recordings.guard.file_checks import plausible_size, reading
 from fingerflow.schema.text_file import check_file
 
 KIND = "HDF5"
+MARK = "fingerflow_version"  # attribute that identifies a file of results
 
 
 def open_hdf5(path: Path, **options: Any) -> h5py.File:
@@ -26,6 +27,15 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
     check_in_child_process(path, "hdf5")
     with reading(path, KIND):
         return h5py.File(path, "r", **options)
+
+
+def open_input(path: Path, **options: Any) -> h5py.File:
+    """Open an HDF5 file as `open_hdf5` does; raise FingerflowError also if it is a result."""
+    file = open_hdf5(path, **options)
+    if MARK in file.attrs:
+        file.close()
+        raise FingerflowError(f"{path}: is a result of fingerflow; name a recording or a force file, not a result")
+    return file
 
 
 def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> float | None:

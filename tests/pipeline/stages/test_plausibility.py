@@ -8,6 +8,7 @@ import pytest
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.report import write_report
 from tests.pipeline.stages.conftest import Change
@@ -33,12 +34,19 @@ def test_what_is_plausible_says_nothing() -> None:
         messages += [plausibility.check_force(normal), plausibility.check_pressure(normal, gross)]
         messages += [plausibility.check_onset(normal, gross, 0), plausibility.check_growth(normal, gross)]
         messages += [plausibility.check_missing_frames(gross, normal, 0)]
+    messages += [plausibility.check_gauge(1.6, np.random.default_rng(0).uniform(0, 6, (400, 2)), 7.4)]
     assert not any(messages)
 
 
 def test_sentences_name_the_frames_and_the_numbers() -> None:
     real, gross = np.array([0.0, 5, 5, 5]), np.array([0.0, 6, 4, 3])
     (more,) = plausibility.check_areas(real, gross, 100.0, 1, 10)
+    (gauge,) = plausibility.check_gauge(2.6, np.random.default_rng(0).uniform(0, 6, (400, 2)), 7.4)
+    assert "gauge_length_mm = 2.6 is over a third of the width of the contact (7.4 mm)" in gauge
+    for radius, width, narrow in ((6, 0.08, True), (7, 0.2, False)):
+        (rim,) = view_faults.check_faint_rim(width, 60.0, 0.2, radius, 13.5)
+        assert ("gross_radius_px (6) to half the ridge distance, 7," in rim) == narrow
+    assert view_faults.check_faint_rim(0.08, 60.0, 0.2, 7, 13.5) == []
     assert "27% of the contact lies outside the region" in plausibility.check_seeded_region(0.27)[0]
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more

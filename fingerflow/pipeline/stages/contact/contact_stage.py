@@ -265,7 +265,8 @@ class ContactStage(Stage):
         rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
         sparse = view_faults.sparse_border_mm(real, gross)
         self.faint_rim_mm = max(rim, sparse)
-        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]))
+        radius = self.inputs.scene.contact.gross_radius_px
+        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
         return warnings or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(

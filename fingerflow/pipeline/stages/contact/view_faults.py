@@ -179,17 +179,20 @@ def check_sparse_ridges(border_mm: float, real: float, gross: float) -> list[str
     ]
 
 
-def check_faint_rim(width_mm: float, gross: float, threshold: float) -> list[str]:
+def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> list[str]:
     """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
-    mm^2 is its area without that rim.
+    mm^2 is its area without that rim, which has gaps where `radius_px` is below half the distance between ridges.
     """
-    if width_mm < _RIM_MM:
+    narrow = radius_px < period_px / 2
+    if width_mm < (0.75 if narrow else 1) * _RIM_MM:  # a small radius hides half of such a rim: 0.2 mm were 0.09
         return []
     more = (1 + width_mm / np.sqrt(gross / np.pi)) ** 2 - 1
+    half = f" set [contact] gross_radius_px ({radius_px}) to half the ridge distance, {np.ceil(period_px / 2):g},"
     return [
         f"the contact is faint at its rim: its border may lie {width_mm:.2f} mm further out. Areas, ellipse, onsets "
         f"and what counts from them are those of the part inside; the gross area may be {more:.0%} larger. Set "
-        f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there, clean the glass, or press harder"
+        f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there,{half if narrow else ''} clean the "
+        f"glass, or press harder"
     ]
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse
+from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
@@ -224,7 +225,9 @@ class DeformationStage(Stage):
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][frames] = residual
         across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
-        self._residual[frames] = nanmedian(np.sqrt(across * across + down * down))
+        # Three points, moved rigidly, leave hardly a residual.
+        enough = (np.isfinite(across).sum(1) > 3) & (now.fields.known_share >= LEAST_SHARE)
+        self._residual[frames] = np.where(enough, nanmedian(np.sqrt(across * across + down * down)), np.nan)
         self._known[frames], self._median[frames] = now.fields.known_share, now.fields.median
         self._variance[frames] = now.variance
         return lasting

@@ -24,6 +24,7 @@ from fingerflow.tracker.points import RECORDING, Knowledge
 
 # Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
 _REFERENCE_FRAMES = 64
+_LEAST_LIGHT = 0.05  # least share of the light of the empty glass that a picture without light lacks
 # Size of decoded frames that stay in memory: frames are checked before they are tracked, and decoding may take as long
 # as both.
 _KEPT_BYTES = 512 * 2**20
@@ -101,10 +102,20 @@ class Inputs:
     def dark(self, view: View) -> Tensor | None:
         """Return an image (1, 1, h, w) of the view recorded in darkness, as float32; None if none was recorded, or if
         contact appears bright: the dark level cancels in the difference of two negatives.
+
+        Raises FingerflowError if it is as bright as the empty glass.
         """
-        if self.scene.background.dark is None or self._is_bright(view):
+        path, glass = self.scene.background.dark, self.scene.background.frames
+        if path is None or self._is_bright(view):
             return None
-        return self._still(self.scene.background.dark, view)
+        dark = self._still(path, view)
+        light = self._still(glass, view).mean()
+        if light - dark.mean() < _LEAST_LIGHT * light:
+            raise FingerflowError(
+                f"{path}: the dark background is as bright as the empty glass, {glass}; record it without light, or "
+                "leave background.dark out"
+            )
+        return dark
 
     def _still(self, path: Any, view: View) -> Tensor:
         if (path, view) not in self._stills:
