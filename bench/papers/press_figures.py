@@ -38,6 +38,7 @@ _ARROWS = 10.0  # magnification of displacements in movie M1
 # Metrics that the paper draws against force, by the letters of their panels.
 _CURVES = {"S8": {"E": "strain", "F": "strain_rate"}, "S9": {"B": "strain_energy", "C": "strain_energy_rate"}}
 _STACKED = 1.6  # height of a panel with several axes relative to one with a single axis
+_MAPS = "maps since each point's own onset; the rest, by the printed analysis, is of the study"
 
 
 def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
@@ -102,7 +103,8 @@ def _stages(study: PressStudy) -> Drawn:
     first = int(np.flatnonzero(np.nan_to_num(low.result["gross_contact_area"]) > 0)[0])
     frame = low.frame_at(min(3.0, low.largest_force)) or low.peak
     panels = contact_stages(low.result, low.scene, frame) + skin_stages(low.result, low.scene, frame, first)
-    return _sheet("S3", panels, f"One simulated press at {float(low.result['normal_force'][frame]):.1f} N.")
+    force = float(low.result["normal_force"][frame])
+    return _sheet("S3", panels, f"One simulated press at {force:.1f} N, skin since each point's own onset.")
 
 
 def _half_sphere(_: PressStudy) -> Drawn:
@@ -127,7 +129,7 @@ def _decomposition(study: PressStudy) -> Drawn:
     moved = low.result["displacement"].values[low.peak]
     found = decompose(low.result["position"].values[low.peak] - moved, moved)
     panel = SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8)
-    return _sheet("S6", [panel], "The measured field of one press at low friction, at its largest force.")
+    return _sheet("S6", [panel], "A press at low friction, at its largest force, since each point's own onset.")
 
 
 def _strain(study: PressStudy) -> Drawn:
@@ -142,7 +144,7 @@ def _strain(study: PressStudy) -> Drawn:
     return _sheet(
         "S8", panels,
         f"Pictures and maps are of two presses of one participant, at {low.largest_force:.1f} N (low friction) and "
-        f"{high.largest_force:.1f} N (high friction); the rest is of the study: {_count(study)}.",
+        f"{high.largest_force:.1f} N (high friction), {_MAPS}: {_count(study)}.",
     )  # fmt: skip
 
 
@@ -152,7 +154,7 @@ def _strain_energy(study: PressStudy) -> Drawn:
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
         *_of_trials(study, "S9"),
     ]
-    return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")
+    return _sheet("S9", panels, f"Two presses of one participant, {_MAPS}: {_count(study)}.")
 
 
 def _receptors(study: PressStudy) -> Drawn:
@@ -174,7 +176,7 @@ def _curl(study: PressStudy) -> Drawn:
         SheetPanel.single("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
         *map(_of_script, (_curve(study, "B", "curl"), *_of_trials(study, "S13"))),
     ]
-    return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
+    return _sheet("S13", panels, f"A press at low friction, {_MAPS}: {_count(study)}.")
 
 
 def _of_script(panel: SheetPanel) -> SheetPanel:
@@ -315,5 +317,5 @@ FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
         _processed_frames(study), "Both views, above high, below low friction; the protocol is not simulated."), 3),
     PrintedFigure("M3", "deformation of the surface finger model", _movie_chain, 4),
     PrintedFigure("M4", "surface strains and energy density, high and low friction", lambda study: (
-        _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."), 8),
+        _strain_frames(study), "Strains and energy density since each point's own onset, at the same forces."), 8),
 )  # fmt: skip
