@@ -25,6 +25,9 @@ LIMITS = {
     "slides: divergence": (2.0, 0.8),
     "slides: curl": (2.2, 0.8),
     "presses, live: median_divergence": (1.6, 0.8),
+    "presses, live: divergence": (1.7, 0.85),
+    "presses, live: curl": (1.7, 0.85),
+    "slides, live: divergence": (2.0, 0.8),
 }
 
 
