@@ -192,7 +192,7 @@ def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: s
     arguments = ["process", str(scene), "--from", str(result)]
     found = CliRunner().invoke(app, arguments)
     assert found.exit_code == 0, found.exception
-    assert "displacement" in found.stdout
+    assert "deformation" in found.stdout
     assert not ran & PICTURES
     edit_scene(scene.parent, {"depth_mm = 2.0": "depth_mm = 3.0"})
     found = CliRunner().invoke(app, ["process", "--from", str(result)])  # the result now names the copied scene
