@@ -1,12 +1,12 @@
 """Benchmark of this computer: the frame rate that it holds with a bundle, and the latency at that rate."""
 
-import os
 import tempfile
 from collections.abc import Mapping
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from fingerflow.kernels.kernel import cores
 from fingerflow.player.playing import play
 
 _FREE_S, _HELD_S = 3.0, 10.0  # s, length of the run as fast as possible, and of each run at a fixed rate
@@ -54,7 +54,7 @@ def _limit(busy: Mapping[str, float]) -> str:
     """Return in words what limits a stream, from the shares of a processor core that its threads use."""
     shares = ", ".join(f"{name} {share:.0%}" for name, share in busy.items())
     name, most = max(busy.items(), key=itemgetter(1))
-    if sum(busy.values()) > _FULL * len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else [0]):
+    if sum(busy.values()) > _FULL * cores():
         limit = "the processor, whose cores are all busy"
     elif most > _FULL:
         limit = f"the thread {name}, which is always busy"

@@ -29,7 +29,6 @@ from fingerflow.player.stream_player import Player, Settings
 from fingerflow.player.stream_scene import (
     contradictions,
     find_topography,
-    geometry_of,
     stated_threshold,
     stream_settings,
 )
@@ -92,7 +91,7 @@ def _open(options: argparse.Namespace, forces_of: ReadForces, on_frame: OnFrame 
         give_up=options.give_up,
         page=options.page,
     )
-    lens = geometry_of(scene).lens
+    lens = tracker.geometry.lens
     header: dict[str, Any] = {
         "format": RESULTS_FORMAT,
         "started": datetime.now(UTC).isoformat(),

@@ -29,7 +29,6 @@ from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Sender
 from fingerflow.player.sources.source import Source, close_within
-from fingerflow.player.stream_scene import geometry_of
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
@@ -133,7 +132,6 @@ class Player:
         self._first = math.nan
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
-        self._topography_mm_per_px = geometry_of(self.scene).topography_mm_per_px
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
@@ -230,7 +228,7 @@ class Player:
             "bundle": self.bundle.folder.resolve().name,
             "computed_by": self.computed_by,
             "mm_per_px": self.scene.calibration.mm_per_px,
-            "topography_mm_per_px": self._topography_mm_per_px,
+            "topography_mm_per_px": self._tracker.geometry.topography_mm_per_px,
             "state": "running" if self._state == "waiting" and self.processed else self._state,
             "said": self._said,
             "fields": list(self._fields),

@@ -24,11 +24,6 @@ def find_topography(scene: Scene) -> View:
     return view
 
 
-def geometry_of(scene: Scene) -> Geometry:
-    """Return the maps between px of the views of a stream and mm on the glass."""
-    return Geometry(scene.calibration, scene.views.contact, find_topography(scene))
-
-
 def stated_threshold(scene: Scene) -> float | None:
     """Return the contact threshold, a relative loss of intensity, that the scene file states; None if it is to be
     measured.
@@ -41,7 +36,8 @@ def stream_settings(scene: Scene, bundle: Bundle) -> TrackerSettings:
     """Combine the experiment settings of a scene with number of points, bit depth and view size of a bundle into the
     settings for the tracker of a stream.
     """
-    region, drawn = np.zeros((bundle.height, bundle.width), dtype=bool), find_topography(scene).region
+    topography = find_topography(scene)
+    region, drawn = np.zeros((bundle.height, bundle.width), dtype=bool), topography.region
     if drawn is not None:
         for row, first, end in region_runs(asdict(drawn), *region.shape):
             region[row, first:end] = True
@@ -50,7 +46,7 @@ def stream_settings(scene: Scene, bundle: Bundle) -> TrackerSettings:
     return TrackerSettings(
         points=bundle.points,
         bit_depth=bundle.bit_depth,
-        geometry=geometry_of(scene),
+        geometry=Geometry(scene.calibration, scene.views.contact, topography),
         region=region,
         threshold=stated_threshold(scene),
         update_share=scene.stream.update_share,

@@ -1,6 +1,7 @@
 """Summarise the result of one trial as a row of numbers, and as curves against force on a common grid."""
 
 import json
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -177,7 +178,7 @@ class _Trial:
             for name, values in series.items():
                 for suffix, frames in (("", self._rising), (UNLOADING, self._falling)):
                     curves[f"{name}{suffix}"] = _at(SHARE_GRID, self._share, values, frames)
-        slip = self._slip_loading()
+        slip = self._slip_loading
         if slip is not None:
             stuck, ratio, load, frames = slip
             curves["stuck_ratio"] = _at(SHARE_GRID, ratio / load, stuck, frames)
@@ -243,13 +244,14 @@ class _Trial:
             numbers["unloading_area_ratio_std"] = float(np.hypot(*errors)[0] * (fallen / grown)[0])
         return numbers
 
-    @property
+    @cached_property
     def _verdict(self) -> dict[str, Any]:
         """Return the verdict on the loss of the stuck area, with NaN where it states nothing."""
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         judged = json.loads(attributes.get("verdict") or "{}")
         return {name: np.nan if value is None else value for name, value in judged.items()}
 
+    @cached_property
     def _slip_loading(self) -> tuple[Series, Series, float, NDArray[np.int_]] | None:
         """Return d² and T/N (frames,), T/N at full slip, and the frames from where it is last under a twentieth of that
         to where the last skin slips; None if it never does.
@@ -263,7 +265,7 @@ class _Trial:
 
     def _full_slip(self) -> dict[str, float]:
         """Return time, T/N and displacement of full slip, and the tangential stiffness while nearly all skin sticks."""
-        slip = self._slip_loading()
+        slip = self._slip_loading
         if slip is None:
             return {}
         (stuck, _, load, frames), verdict = slip, self._verdict

@@ -63,11 +63,12 @@ class PictureCheck:
     Attributes:
         black: level without light.
         least: mean level below which a frame is dark.
+        lines: (lines,) means of sampled lines of the empty glass.
     """
 
     def __init__(self, glass: Array, dark: Array | None, top: float) -> None:
         self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
-        empty = block_means(glass[None])[0]
+        empty, (self.lines,) = block_means(glass[None])
         self.least = self.black + DARK_SHARE * (float(empty.mean()) - self.black)
         self._roughness, self._top = noise_roughness(glass), top
         self._tells_saturated = float((empty > top).mean()) < SATURATED_SHARE

@@ -95,10 +95,12 @@ class Onsets(Protocol):
 
 
 class DeformedFrames(NamedTuple):
-    """Results of n frames.
+    """Displacements, fields and medians of n frames, with their errors.
 
     Attributes:
-        since: displacements, and (n, N) mm^2 the `square` error of a component by all terms.
+        since: displacements of the points.
+        lasting: the same without touches that do not last.
+        square: (n, N) mm^2, mean square error of a displacement component.
         vector, vector_std: (n, 2) mm, median displacement over the contact, and its standard deviation.
         fields: with the standard deviations of divergence and curl at points by all terms, and of medians by errors of
             points alone.
@@ -106,6 +108,7 @@ class DeformedFrames(NamedTuple):
     """
 
     since: Displacement
+    lasting: Displacement
     square: Array
     vector: Array
     vector_std: Array
@@ -140,11 +143,14 @@ class Deformation:
         square = since.variance + since.curvature + onset + since.unseen
         reach = self._engine.settings.gauge_length_mm / 2
         vector, vector_std = displacement_medians(skin.position, since.displacement, square, skin.border, reach)
-        fields, variance = self._fields(skin.numbers, since.lasting(), skin.border)
-        return DeformedFrames(since, square, vector, vector_std, fields, variance)
+        lasting = since.lasting()
+        fields, variance = self._fields(skin.numbers, lasting, skin.border)
+        return DeformedFrames(since, lasting, square, vector, vector_std, fields, variance)
 
     def _fields(self, frames: Array, since: Displacement, ellipse: FrameEllipse) -> tuple[FrameFields, Array]:
-        """Return the fields of n frames with the numbers `frames` (n,), and the variances (n, 5) of their medians."""
+        """Compute divergence, curl and strain in the frames with the numbers `frames` (n,), and the variances (n, 5) of
+        the medians of these fields over the contact.
+        """
         moved, reference = since.displacement.astype(np.float32), since.reference.astype(np.float32)
         noise = since.variance + since.curvature
         center, semi_axes, angle = ellipse

@@ -209,8 +209,7 @@ class Entries:
         entered: (N,) bool, points that have been advected into the contact.
         onset: (N,) index of the frame in which the present touch began, -1 without one.
         of_onset: (N, 2, 2) mm^2, covariance of the displacements by the error of the time of onset. Until
-            `learn_errors` is called after the onset, it is the mean of the points that touched before.
-        begun: number of the frame after the first in which the first point touched; 0 before.
+            `learn_errors` computes it, it is the mean of the points that touched before.
         late: (N, 2, 2) error of the gradients of advected points by one standard deviation of the time of entry: their
             change in the frames after it, in proportion.
     """
@@ -230,7 +229,7 @@ class Entries:
         self.entered = np.zeros(count, dtype=bool)
         self.of_onset, self.late = np.zeros((2, count, 2, 2))
         self._mean_of_onset, self._variance_of_time = np.zeros((2, 2)), np.zeros(count)
-        self.begun = 0
+        self._begun = 0  # number of the frame after the first in which the first point touched
         self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
     def update(
@@ -254,7 +253,7 @@ class Entries:
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching] = -1, False
         if np.logical_or.reduce(begins):
-            self.begun = self.begun or self._frames
+            self._begun = self._begun or self._frames
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
             self.late[begins] = 0
@@ -289,7 +288,12 @@ class Entries:
     def learn_errors(self) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
         around their onset is known by now, or in part.
+
+        They are computed after every eighth frame, and after each of the 16 frames in which the first points touch: no
+        others, whose mean would do, have touched before.
         """
+        if self._frames % EntryGradients.BEFORE and self._frames >= self._begun + 2 * EntryGradients.BEFORE:
+            return
         recent = self.onset >= max(self._frames - 2 * EntryGradients.BEFORE, 1)
         first, last = max(self._frames - self.KEPT, 0), self._frames - 1
         if not recent.any():

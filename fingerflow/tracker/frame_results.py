@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, FrameContact, TrackedPoints
 from fingerflow.recordings.lens import Geometry
-from fingerflow.tracker.deformation import EVERY, Deformation, Displacement, SkinFrames
+from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
@@ -153,9 +153,7 @@ class FrameResults:
         entered = self._entries.update(
             position[0], variance, touch.begins[0], touch.touching[0], touch.position[0], skin.border
         )
-        # Of the first skin in contact, errors of onsets are not known from skin that touched before.
-        if self._frames % EVERY == 0 or self._frames < self._entries.begun + 2 * EVERY:
-            self._entries.learn_errors()
+        self._entries.learn_errors()
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position
         moved[0, np.isnan(self._inherited)] = np.nan

@@ -193,6 +193,7 @@ class StreamTracker:
         glass, dark: (H, W) contact view of the empty glass, and without light.
 
     Attributes:
+        geometry: of the views.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measures: whether it is measured in frames.
         seeded: number of points seeded at the last restart.
@@ -203,8 +204,9 @@ class StreamTracker:
         self._engine, self._settings = engine, settings
         self._light = glass_light(glass, dark)
         self._glass, self._dark = glass, dark
-        self._to_contact = settings.geometry.topography_to_contact.astype(np.float32)
-        self._results = FrameResults(engine, settings.geometry)
+        self.geometry = settings.geometry
+        self._to_contact = self.geometry.topography_to_contact.astype(np.float32)
+        self._results = FrameResults(engine, self.geometry)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
@@ -434,8 +436,7 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            size = self._settings.geometry.mm_per_px
-            touching = float(self._contact(outcome).gross_area_px[0]) * size**2 >= _LEAST_MM2
+            touching = float(self._contact(outcome).gross_area_px[0]) * self.geometry.mm_per_px**2 >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
@@ -457,7 +458,7 @@ class StreamTracker:
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact(work), self._settings.geometry.mm_per_px
+        contact, size = self._contact(work), self.geometry.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]

@@ -62,8 +62,9 @@ class FrameCheck:
     """
 
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
-        self._alone, lines = PictureCheck(glass, dark, 2**bit_depth - 1.5), block_means(glass[None])[1]
-        self._lit = lines - self._alone.black > _LIT * (lines.mean() - self._alone.black)
+        self._alone = PictureCheck(glass, dark, 2**bit_depth - 1.5)
+        lines = self._alone.lines - self._alone.black
+        self._lit = lines > _LIT * lines.mean()
         self._last: Picture | None = None  # latest usable frame
         self._without_lines = 0  # number of consecutive frames with dark lines
         self._deferred: list[Picture] = []

@@ -219,8 +219,7 @@ class DeformationStage(Stage):
             self._printed[frames] = np.linalg.norm(nanmedian(now.since.displacement), axis=1)
         for name in self._stated:
             self.results[name][frames] = getattr(now.fields, name)
-        lasting = now.since.lasting()
-        reference, moved = (self.inputs.tensor(values) for values in (self.reference[None], lasting.displacement))
+        reference, moved = (self.inputs.tensor(values) for values in (self.reference[None], now.lasting.displacement))
         residual = rigid_residual(reference, moved).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][frames] = residual
@@ -230,7 +229,7 @@ class DeformationStage(Stage):
         self._residual[frames] = np.where(enough, nanmedian(np.sqrt(across * across + down * down)), np.nan)
         self._known[frames], self._median[frames] = now.fields.known_share, now.fields.median
         self._variance[frames] = now.variance
-        return lasting
+        return now.lasting
 
     def since(self, skin: SkinFrames) -> Displacement:
         """Return the displacement in the next frames, with what the whole recording tells (`Onsets`)."""
