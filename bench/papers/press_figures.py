@@ -180,7 +180,7 @@ def _curl(study: PressStudy) -> Drawn:
 
 
 def _of_script(panel: SheetPanel) -> SheetPanel:
-    """Return a panel of the curl that says which number the lab's script calls so."""
+    """Return a panel of curl whose labels state that the lab's script computes u_x - u_y."""
 
     def draw(part: SubFigure) -> None:
         panel.draw(part)

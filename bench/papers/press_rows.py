@@ -257,13 +257,15 @@ def _by_amplitude(study: PressStudy, metric: str, because: str = _CHANCE) -> Obt
 
 
 def _size(f: float, groups: int, trials: int) -> float:
-    """Return Cohen's f by an F and its degrees of freedom, less the F of 1 that chance gives."""
+    """Compute the effect size, Cohen's f, from an F statistic and its degrees of freedom, less the F of 1 that is
+    expected without an effect.
+    """
     return math.sqrt(max(f - 1, 0.0) * groups / trials)
 
 
 def _effect(test: Callable[..., Any], values: Any, levels: Any, who: Any) -> Estimate:
-    """Return Cohen's f of the test of values (T,) by levels (T,), negative if they fall as the levels rise, with the
-    interval of the jackknife over participants.
+    """Compute the effect size, Cohen's f, of levels (T,) on values (T,) by an analysis of variance `test`, with its
+    interval by the jackknife over participants. It is negative if values fall as levels rise.
     """
 
     def signed(chosen: Any) -> float:

@@ -184,8 +184,8 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
 
 
 def _measure_as_printed(manifest: Manifest) -> Any:
-    """Process the rendered presses with the profile of the paper; return a DataFrame of its numbers at their largest
-    forces.
+    """Process the rendered presses by the printed analysis, and return a table (DataFrame) of their numbers at the
+    largest force, a row for each press.
     """
     import pandas as pd
 

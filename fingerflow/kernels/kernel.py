@@ -335,9 +335,7 @@ _threads = 0  # number of threads of the kernels, 0 if not set
 @functools.cache
 def _lent_threads() -> int:
     requested = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
-    if requested.isdecimal() and int(requested):
-        return int(requested)
-    return cores()
+    return int(requested) if requested.isdecimal() and int(requested) else cores()
 
 
 def cores() -> int:

@@ -1,4 +1,4 @@
-"""Geometry of the views: from px of the views to mm on the glass, through the lens of the camera."""
+"""Conversion between px of the views and mm on the glass, corrected for the lens of the camera."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -88,7 +88,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Geometry:
-    """Maps between px of the views and mm on the glass, corrected for the lens where the calibration states one.
+    """Conversion between px of the views and mm on the glass, corrected for the lens if the calibration states it.
 
     Raises FingerflowError for a lens that folds a view.
 
@@ -152,7 +152,7 @@ class Geometry:
 
     @cached_property
     def topography_mm_per_px(self) -> float:
-        """Return the mean scale of the topography view, mm per px."""
+        """Return the scale of the topography view, mm per px: the root of the area of a pixel, with a lens its mean."""
         matrix = self._transform * self.mm_per_px
         if self.lens is not None:
             pixels = self._over_topography()

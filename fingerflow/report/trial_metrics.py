@@ -208,7 +208,10 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 
 def participant_lines(x: Values, y: Values, participants: NDArray[Any]) -> Values:
-    """Return slope and offset (P, 2) of y over x, both (T,), of each participant whose x varies, by Theil & Sen."""
+    """Fit a line of y (T,) over x (T,) of each of P participants, by the method of Theil & Sen.
+
+    Return the slopes and offsets (P, 2). Participants whose x does not vary are left out.
+    """
     both = np.isfinite(x) & np.isfinite(y)
     parts = [both & (participants == name) for name in np.unique(participants[both])]
     return np.array([stats.theilslopes(y[part], x[part])[:2] for part in parts if np.ptp(x[part])])

@@ -178,8 +178,7 @@ class _Trial:
             for name, values in series.items():
                 for suffix, frames in (("", self._rising), (UNLOADING, self._falling)):
                     curves[f"{name}{suffix}"] = _at(SHARE_GRID, self._share, values, frames)
-        slip = self._slip_loading
-        if slip is not None:
+        if (slip := self._slip_loading) is not None:
             stuck, ratio, load, frames = slip
             curves["stuck_ratio"] = _at(SHARE_GRID, ratio / load, stuck, frames)
         return curves
@@ -265,8 +264,7 @@ class _Trial:
 
     def _full_slip(self) -> dict[str, float]:
         """Return time, T/N and displacement of full slip, and the tangential stiffness while nearly all skin sticks."""
-        slip = self._slip_loading
-        if slip is None:
+        if (slip := self._slip_loading) is None:
             return {}
         (stuck, _, load, frames), verdict = slip, self._verdict
         begin, loss = int(frames[0]), int(frames[-1])

@@ -74,8 +74,9 @@ class PictureCheck:
         self._tells_saturated = float((empty > top).mean()) < SATURATED_SHARE
 
     def status(self, frames: Array, blocks: Array) -> Array:
-        """Return the status (n,) of frames (n, H, W), as indices into `FRAME_STATUS`, with the means `blocks` (n, rows,
-        columns) over blocks of their pixels.
+        """Judge frames (n, H, W), and return the status (n,) of each, an index into `FRAME_STATUS`.
+
+        `blocks` (n, rows, columns) are the means over blocks of their pixels (`block_means`).
         """
         size = blocks[0].size
         status = np.where(is_noise(frames, self._roughness), NOISE, USABLE)
@@ -101,8 +102,8 @@ def is_noise(frames: Array, roughness: float) -> Array:
 
 
 def noise_roughness(glass: Array) -> float:
-    """Return the least roughness of noise, 0.2 or twice that of the empty glass (H, W): the pixels of a colour camera
-    differ.
+    """Return the roughness above which a frame may be noise (`is_noise`): 0.2, or twice that of the empty glass (H, W),
+    since neighbouring pixels of a colour camera have different filters.
     """
     return max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
 

@@ -127,7 +127,9 @@ def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_m
 
 
 def variance_of_late(late: Array) -> Array:
-    """Return the variances (2, N) of divergence and curl whose gradients err by `late` (N, 2, 2)."""
+    """Return the variances (2, N) of divergence and curl by an uncertain time of entry, from the errors `late`
+    (N, 2, 2) of the displacement gradients by one standard deviation of this time.
+    """
     (xx, xy), (yx, yy) = np.moveaxis(late, 0, -1)
     result: Array = np.square((xx + yy, yx - xy))
     return result

@@ -1,4 +1,4 @@
-"""Areas and ellipses of the contact on the glass."""
+"""Conversion of areas and ellipses of the contact from px of the contact view to mm on the glass."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SizesOnGlass:
             self._means = np.concatenate((gain, gain * straight, recorded, right, down), -1).reshape(-1, 9)
 
     def sizes(self, contact: FrameContact) -> Sizes:
-        """Return the sizes in n frames."""
+        """Convert the sizes of the contact in n frames."""
         center, axes = (values.astype(np.float64) for values in (contact.center, contact.semi_axes))
         angle, pixel = contact.angle, np.asarray(self._size**2)
         if self._means is not None:

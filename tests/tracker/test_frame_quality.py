@@ -110,7 +110,7 @@ _SPOIL: dict[str, Any] = {
 @pytest.mark.parametrize("growth", [1.05, 1.2, 1.4])
 @pytest.mark.parametrize("kind", _SPOIL)
 def test_frames_without_a_picture_count_in_no_number_and_fast_growth_does(growth: float, kind: str) -> None:
-    """Of a contact whose area grows fast, each frame counts but eight without a picture."""
+    """Eight frames in disorder are excluded, and no other frame of a contact that grows fast."""
     y, x = np.mgrid[:192, :240]
     radius = 24 * np.minimum(growth ** (np.arange(40) / 2), 3.5)
     skins = [np.where(np.hypot(x - 120, y - 96) < size, _skin()[:, :240] - 50, 200) for size in radius]

@@ -183,7 +183,7 @@ class DeformationStage(Stage):
         self._begin_fields()
 
     def _begin_fields(self) -> None:
-        """Create the results of fields, and what computes them."""
+        """Create the result variables of the fields, and prepare their computation."""
         self._gauge |= self._attributes
         self._stated = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.requested)]
         for name in self._stated:

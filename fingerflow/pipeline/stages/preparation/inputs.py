@@ -62,7 +62,7 @@ class Inputs:
 
     @cached_property
     def geometry(self) -> Geometry:
-        """Return the maps between px of the views and mm on the glass."""
+        """Return the conversion between px of the views and mm on the glass."""
         scene = self.scene
         return Geometry(scene.calibration, scene.views.contact, scene.views.topography)
 
