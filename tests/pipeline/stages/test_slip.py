@@ -20,7 +20,7 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
 from fingerflow.pipeline.stages.slip.dense_flow_slip import DenseFlowSlipStage
-from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
+from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid, growth_rates
 from fingerflow.schema.scene import Scene, Views
 from fingerflow.synthetic import PartialSlip, rebuild_scene
 from tests.small_trials import scene_beside, write_small_slip
@@ -331,6 +331,12 @@ def test_skin_that_is_laid_and_peeled() -> None:
         errors.append(gained - (np.pi / 2 * (3.05**2 - 9) + 2 * 3.025 * 0.06 * np.array([1, -1])))
     np.testing.assert_allclose(np.mean(errors, 0), 0, atol=0.05)
     assert np.isnan(grid.growth((before, after), points + np.nan, points, skin)).all()
+
+
+def test_a_contact_that_stops_growing_keeps_the_deviation_of_its_growth() -> None:
+    """A deviation stands beside every rate after the growth has ended, whatever its size was before."""
+    growth = np.random.default_rng(5).random((40, 60)) * np.logspace(-3, 3, 40)[:, None] * (np.arange(60) < 20)
+    assert np.isfinite(growth_rates(growth, np.arange(60) / 30)).all()
 
 
 def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:

@@ -6,9 +6,10 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, uniform_filter
+from scipy.ndimage import convolve1d, map_coordinates, uniform_filter
 from scipy.spatial import cKDTree
 
+from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.slip.skin_surface import SkinSurface
 
 Array = NDArray[np.float64]
@@ -17,6 +18,8 @@ Mask = NDArray[np.bool_]
 
 _NEAREST = 4  # points whose mean displacement is that of the skin at the border
 _FINE = 4  # positions per cell along each axis: areas are then known to a thousandth of the contact
+
+_GROWTH_S, _JITTER_S = 0.15, 0.5  # s, times over which a rate of area and the noise of areas are measured
 
 
 class SlipGrid:
@@ -115,3 +118,21 @@ class SlipGrid:
     def sample_points(self, fine: NDArray[Any]) -> NDArray[Any]:
         """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""
         return np.asarray(fine[self._row, self._column])
+
+
+def growth_rates(growth: Array, times: Array) -> tuple[Array, Array]:
+    """Return the rates (H, F), mm²/s, at which parts of the contact gain skin over 0.15 s, and the standard deviations
+    (H, F) that are due to noise of a frame, which the next one takes back, from the misfit within half a second.
+
+    Args:
+        growth: (H, F) mm², skin gained since the frame before, NaN where unknown.
+        times: (F,) s, time of each frame.
+    """
+    known, gained = np.isfinite(growth), np.nan_to_num(growth)
+    rates = rate(np.where(known, gained.cumsum(1), np.nan).T, times, _GROWTH_S).T
+    misfit = np.nan_to_num(gained - rates * np.gradient(times)) ** 2 / 2
+    frames = 1 + round(_JITTER_S * len(times) / max(float(np.ptp(times)), 1e-9))
+    # no running sums, whose rounding can make a mean of squares negative
+    total, count = convolve1d(np.stack((misfit, 1.0 * np.isfinite(rates))), np.ones(frames), mode="nearest")
+    jitter = np.where(known, np.sqrt(total / np.maximum(count, 1.0)), np.nan)
+    return rates, rate(jitter.T, times, _GROWTH_S, of_std=True).T

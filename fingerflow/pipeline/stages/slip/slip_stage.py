@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import label, uniform_filter1d
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from fingerflow.models.partial_slip import (
@@ -25,8 +25,8 @@ from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
-from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
-from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
+from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid, growth_rates
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
@@ -36,8 +36,7 @@ from fingerflow.schema.variables import SLIP
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
-# s, times over which a speed, a rate of area, and the noise of areas are measured
-_SPEED_S, _GROWTH_S, _JITTER_S = 0.05, 0.15, 0.5
+_SPEED_S = 0.05  # s, time over which a speed is measured
 _FRAMES = 64  # frames in memory at a time
 _FEWEST_POINTS = 3  # least number of slipping points that define a direction
 _RATIO_NOISE = 0.006  # standard deviation of d^2 in a frame, measured on rendered trials
@@ -220,11 +219,11 @@ class SlipStage(Stage):
         return bool(region.sum() > region[inner:-inner, inner:-inner].sum())
 
     def finish(self) -> None:
+        settings, border = self._settings, self._border
         if self._grid is not None:
-            if self._border is not None:
-                self._border.settle()
-            by_length = Length(self._grid, self._settings.stuck_mm, self._settings.criterion == "relative")
-            criterion = self._border or by_length
+            if border is not None:
+                border.settle()
+            criterion = border or Length(self._grid, settings.stuck_mm, settings.criterion == "relative")
             for first in range(0, len(self.trial), _FRAMES):
                 self._find_stuck(first, min(first + _FRAMES, len(self.trial)), self._grid, criterion)
         self._warn_of_unknown()
@@ -238,20 +237,17 @@ class SlipStage(Stage):
             parts["friction_fit"] = verdict.check_fit(fit_friction(self._ratio[slow], forces[slow]))
             parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
         judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
-        limit = {"criterion": self._settings.criterion, "stuck_mm": self._limit()}
-        fit = None if self._border is None else self._border.fit
-        power = {} if fit is None else {"power": fit.power, "power_std": fit.power_std}
+        limit = {"criterion": settings.criterion, "stuck_mm": self._limit()}
+        power = {} if not (border and border.fit) else {"power": border.fit.power, "power_std": border.fit.power_std}
         self.results.put("stuck_area", self._ratio * self._area, limit)
         self.results.put("stuck_ratio", self._ratio, limit | power | judged)
-        self.results.put("stuck_ratio_std", deviation)
-        self.results.put("printed_stuck_ratio", self._printed, {"stuck_mm": self._settings.stuck_mm})
-        self.results.put("slip_coverage", self._coverage)
+        self.results.put("printed_stuck_ratio", self._printed, {"stuck_mm": settings.stuck_mm})
         self.results.put("slip_annulus_area", (1 - self._ratio) * self._area, limit)
-        self.results.put("slip_direction", self._direction)
-        self.results.put("slip_speed", self._speed)
+        motion = ("stuck_ratio_std", "slip_coverage", "slip_direction", "slip_speed")
         rigid = ("incipient_slip", "incipient_slip_irrotational", "incipient_slip_solenoidal")
         halves = ("leading_area_rate", "trailing_area_rate", "leading_area_rate_std", "trailing_area_rate_std")
-        for name, values in zip((*rigid, *halves), (*self._incipient, *self._area_rates()), strict=True):
+        of_motion = (deviation, self._coverage, self._direction, self._speed, *self._incipient, *self._area_rates())
+        for name, values in zip((*motion, *rigid, *halves), of_motion, strict=True):
             self.results.put(name, values)
 
     def _limit(self) -> float:
@@ -314,17 +310,10 @@ class SlipStage(Stage):
                 self._speed[frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
     def _area_rates(self) -> NDArray[np.float64]:
-        """Return the rates, mm²/s, at which the leading and the trailing half of the contact gain skin over 0.15 s, and
-        their standard deviations (4, F): of noise of a frame, which the next one takes back, from the misfit within
-        half a second, and of the border, whose error is another one where a valley forms it in place of a ridge.
+        """Return the rates, mm²/s, at which the leading and the trailing half of the contact gain skin, and their
+        standard deviations (4, F): of noise, and of the border, which a valley forms in place of a ridge.
         """
-        times, known, growth = self.inputs.times, np.isfinite(self._growth), np.nan_to_num(self._growth)
-        rates = rate(np.where(known, growth.cumsum(1), np.nan).T, times, _GROWTH_S).T
-        misfit = np.nan_to_num(growth - rates * np.gradient(times)) ** 2 / 2
-        frames = 1 + round(_JITTER_S * len(times) / max(float(np.ptp(times)), 1e-9))
-        total, count = uniform_filter1d(np.stack((misfit, 1.0 * np.isfinite(rates))), frames, mode="nearest")
-        jitter = np.where(known, np.sqrt(total / np.maximum(count, 1e-9)), np.nan)
-        noise = rate(jitter.T, times, _GROWTH_S, of_std=True).T
+        rates, noise = growth_rates(self._growth, self.inputs.times)
         mm = self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
         border = np.abs(rates) * self.results["gross_contact_area_std"][:] / (mm * np.sqrt(4 / np.pi * self._area))
         return np.concatenate((rates, np.hypot(noise, border)))
