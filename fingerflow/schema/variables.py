@@ -60,16 +60,26 @@ _STRAIN_EQUATION = (
 _RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of least squares"
 
 
-def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
+def sparse_border_mm(real_area: Any, gross_area: Any) -> float:
+    """Return by how much, mm, the border is uncertain as ridges cover little of the contact, from its real and gross
+    areas (frames,) where it is largest: on presses of the skin chain it lay up to 0.18 mm too far out.
+    """
+    known = gross_area > 0
+    share = (real_area[known] / gross_area[known])[gross_area[known].argmax()] if known.any() else 1
+    return float(0.15 * min(max((0.23 - share) / 0.06, 0), 1))
+
+
+def _gross_area_std(semi_axes: Any, real_area: Any, gross_area: Any) -> Any:
     """Return the standard deviation, mm^2, of the gross contact area in each frame, from the semi-axes (frames, 2), mm,
-    of its ellipse and the real contact area (frames,).
+    of its ellipse and the real and gross contact areas (frames,).
 
     Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one;
     where nothing touches, the deviation is that of the real area.
     The constants are measured on presses through real prints (docs/methods/contact.md).
     """
     small = 0.3**2 / (1 + (pi / 1.5 * semi_axes.prod(-1)) ** 4)
-    deviation = ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2 + small) ** 0.5
+    sparse = 4 * pi * gross_area * sparse_border_mm(real_area, gross_area) ** 2
+    deviation = ((0.013 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2 + small + sparse) ** 0.5
     for seen, value in ((real_area > 0, 0.25), (real_area == 0, 0.01)):
         deviation[(deviation != deviation) & seen] = value
     return deviation
@@ -93,9 +103,11 @@ def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -
     return (real_std**2 + (_ratio(real_area, gross_area) * gross_std) ** 2) ** 0.5 / gross_area
 
 
-def _ellipse_std(lengths: Any) -> Any:
-    """Return the standard deviation, mm, of lengths of the ellipse: the same on contacts of 1 to 60 mm^2."""
-    return 0 * lengths + 0.028
+def _ellipse_std(lengths: Any, *areas: Any) -> Any:
+    """Return the standard deviation, mm, of lengths of the ellipse: the same on contacts of 1 to 60 mm^2, but for
+    semi-axes, with `areas` as arguments of `sparse_border_mm`.
+    """
+    return 0 * lengths + (0.028**2 + (sparse_border_mm(*areas) ** 2 if areas else 0)) ** 0.5
 
 
 def _angle_std(semi_axes: Any) -> Any:
@@ -115,8 +127,7 @@ SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest gr
 FRAME_CHECK = (
     Variable("frame_status", FRAME, "1", "whether a frame is a picture of the trial; where it is not, results are NaN",
         "u1", equation="by light, saturation, copies and distance of each frame from those before and after",
-        flags=FRAME_STATUS),
-)
+        flags=FRAME_STATUS),)
 
 LOADING = (
     Variable("normal_force", FRAME, "N", "normal force",
@@ -133,8 +144,7 @@ LOADING = (
         "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
         equation="atan(T/N); NaN where N < 0.05 N", needs=("forces.tangential",)),
     Variable("actuator_position", FRAME, "mm", "position of the actuator that moves the finger or the glass",
-        equation="as the normal force", needs=("forces.position",)),
-)
+        equation="as the normal force", needs=("forces.position",)),)
 
 CONTACT = (
     Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact",
@@ -150,10 +160,10 @@ CONTACT = (
     Variable("gross_contact_area_std", FRAME, "mm2",
         "standard deviation of the gross contact area, by the ridge spacing",
         equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
-        "ellipse, b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 "
+        "ellipse, b = 0.013 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 "
         "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse, 0.01 mm² where nothing touches; plus "
-        "4 π gross faint_rim_mm²",
-        formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
+        "4 π gross faint_rim_mm², live 0.15 mm of it where ridges cover less than 17 % of the contact, 0 from 23 % on",
+        formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area"),
         label="standard deviation of the gross contact area"),
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
         equation="real_contact_area / gross_contact_area", formula=_ratio,
@@ -168,14 +178,14 @@ CONTACT = (
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
         equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),
     Variable("ellipse_semi_axes_std", ("frame", "axis"), "mm", "standard deviation of ellipse_semi_axes",
-        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_semi_axes",)),
+        equation="0.028 mm, and faint_rim_mm", formula=_ellipse_std,
+        of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area")),
     Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
         equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse"),
     Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
         equation="1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
     Variable("gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
-        equation="1 in cells of the gross contact", unasked=False),
-)
+        equation="1 in cells of the gross contact", unasked=False),)
 
 #: Real contact area computed as in figure S3 A of Willemet et al. (2021).
 PRINTED_CONTACT = (
@@ -190,14 +200,12 @@ PRINTED_CONTACT = (
     Variable("printed_eroded_contact_area", FRAME, "mm2",
         "printed_real_contact_area eroded by a unit diamond, as in the code of that lab",
         equation="the same after erosion by a unit diamond", unasked=False,
-        label="real contact area as printed, eroded"),
-)
+        label="real contact area as printed, eroded"),)
 
 #: Names of the values of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
 TRACK_STATUS = (
     "tracked", "not_finite", "left_frame", "no_texture", "not_converged", "mismatch", "forward_backward", "uncertain",
-    "off_neighbours", "frame_not_usable", "window_differs", "not_seeded_yet", "dust_in_window",
-)  # fmt: skip
+    "off_neighbours", "frame_not_usable", "window_differs", "not_seeded_yet", "dust_in_window")  # fmt: skip
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass",
         equation="s (A (x, 1)), A = calibration.topography_to_contact, x = x_px corrected for calibration.distortion"),
@@ -283,12 +291,11 @@ DISPLACEMENT = (
         equation="that of the component along global_displacement_vector", shown_in=MICROMETRE),
     Variable("printed_global_displacement", FRAME, "mm",
         "length of the median displacement over the points, as the paper has it: points crowd where skin has texture",
-        equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),
-)
+        equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),)
 
 _ALONE = (
-    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, the share "
-    "that is not known, and points that moved in"
+    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.035 mm off, the "
+    "share that is not known, and points that moved in"
 )
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1",
@@ -334,8 +341,7 @@ FIELDS = (
     Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain",
         equation=_RATE_EQUATION, shown_in=UM_PER_MM_S),
     Variable("median_strain_rate_std", ("frame", "strain_component"), "1/s", f"{_ERROR} rate of median_strain",
-        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
-)
+        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),)
 
 STRAIN = (
     Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4",

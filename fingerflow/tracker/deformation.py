@@ -132,7 +132,8 @@ class Deformation:
 
     def __init__(self, engine: Engine, positions: Array) -> None:
         self._engine, self._smoothing = engine, SmoothingErrors(engine.settings.gauge_length_mm, positions)
-        self._of_smoothing = np.zeros((1, 2, len(positions)))  # variance of divergence and curl in the evaluated frame
+        # Variance of divergence and curl in the latest evaluated frame, and the mean square of these fields in it.
+        self._of_smoothing, self._square = np.zeros((1, 2, len(positions))), np.ones(1)
         self.bias: list[tuple[int, NDArray[np.float64]]] = []
         self.latest = np.full(5, np.nan)
 
@@ -182,8 +183,12 @@ class Deformation:
                 plain = np.where(excluded.among.any(0)[:, None], np.float32(np.nan), reference)
             smoothing = np.concatenate((smoothing, self._smoothing.variance(plain, moved[rows], part, wide)))
             self._of_smoothing = smoothing[-1:]
-        # The latest evaluated frame counts; 0 stands for the one before these frames.
-        of_fields = smoothing[evaluated.cumsum()] + since.late
+        # The latest evaluated frame counts, 0 being the one before these. What smoothing takes grows as fields do.
+        square = np.square(fields.divergence) + np.square(fields.curl)
+        size = np.nansum(square, 1, dtype=np.float64) / np.isfinite(square).sum(1).clip(1) + 1e-30
+        sizes, latest = np.concatenate((self._square, size[rows])), evaluated.cumsum()
+        self._square = sizes[-1:]
+        of_fields = smoothing[latest] * np.maximum(size / sizes[latest], 1)[:, None, None] + since.late
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])

@@ -212,10 +212,9 @@ class Entries:
         onset: (N,) index of the frame in which the present touch began, -1 without one.
         of_onset: (N, 2, 2) mm^2, covariance of the displacements by the error of the time of onset. Until
             `learn_errors` computes it, it is the mean of the points that touched before.
-        late: (N, 2, 2) error of the gradients of advected points by one standard deviation of the time of entry: their
-            change in the frames after it, in proportion.
     """
 
+    BEFORE = 4  # frames before the entry over which the change of a gradient is measured
     KEPT = 512  # number of latest frames that are kept, in which the motion before an onset is known
 
     def __init__(self, engine: Engine, positions: Array) -> None:
@@ -223,15 +222,13 @@ class Entries:
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
         self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
-        self._border = FrameEllipse(
-            np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
-        )
-        self._frames = 0  # number of frames so far
+        self._border = FrameEllipse(*(np.full((self.KEPT, *size), np.nan) for size in ((2,), (2,), ())))
+        # Number of frames so far, and of the frame after the first in which the first point touched.
+        self._frames = self._begun = 0
         self.onset, self._reference = np.full(count, -1), np.full((count, 2), np.nan)
         self.entered = np.zeros(count, dtype=bool)
-        self.of_onset, self.late = np.zeros((2, count, 2, 2))
-        self._mean_of_onset, self._variance_of_time = np.zeros((2, 2)), np.zeros(count)
-        self._begun = 0  # number of the frame after the first in which the first point touched
+        self.of_onset, self._change = np.zeros((2, count, 2, 2))
+        self._mean_of_onset, self._variance_of_time, self._mean_of_time = np.zeros((2, 2)), np.zeros(count), 0.0
         self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
     def update(
@@ -258,36 +255,36 @@ class Entries:
             self._begun = self._begun or self._frames
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
-            self.late[begins] = 0
+            self._change[begins], self._variance_of_time[begins] = 0, self._mean_of_time
             self._mark_advected(begins)
-        elif not np.logical_or.reduce(self.entered):
-            self._frames += 1
-            return None
         self._frames += 1
+        if not np.logical_or.reduce(begins | self.entered):
+            return None
         queries = ((begins | self.entered) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
         valid = self._valid
         if not len(queries) or not len(valid):
             return None
-        moved, noise = (position - self._seeded)[None, valid], variance[None, valid] / 2
+        entering = begins[queries]
+        new, rows = queries[entering], [row]
+        if len(new) and self._frames > self.BEFORE:
+            rows.append((row - self.BEFORE) % self.KEPT)
+        moved, noise = self._position[rows][:, valid] - self._seeded[valid], self._variance[rows][:, valid] / 2
         gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
         assert spread is not None
-        now, entering = _EYE + gradient[0], begins[queries]
-        new = queries[entering]
+        now = _EYE + gradient[0]
         self._at_entry[new], self._covariance[new] = now[entering], spread[0, entering]
+        if len(gradient) > 1:
+            self._change[new] = np.nan_to_num(gradient[0, entering] - gradient[1, entering]) / self.BEFORE
         if not np.logical_or.reduce(self.entered):
             return None
         since, covariance = np.full(self._at_entry.shape, np.nan), np.full(self._covariance.shape, np.nan)
         since[queries] = now @ inverse_2x2(self._at_entry[queries]) - _EYE
         covariance[queries] = spread[0] + self._covariance[queries]
         since[~self.entered] = covariance[~self.entered] = np.nan
-        elapsed = self._frames - 1 - self.onset
-        early = ((elapsed > 0) & (elapsed <= EntryGradients.BEFORE) & self.entered).nonzero()[0]
-        per_frame = np.nan_to_num(since[early]) / elapsed[early, None, None]
-        self.late[early] = per_frame * np.sqrt(self._variance_of_time[early])[:, None, None]
         gradients = (values.astype(np.float32)[None] for values in (since, covariance))
         return EnteredPoints(self.entered[None].copy(), *gradients)
 
-    def learn_errors(self) -> None:
+    def learn_errors(self, faint_mm: float) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
         around their onset is known by now, or in part.
 
@@ -308,9 +305,17 @@ class Entries:
 
         border = self._border.select(np.arange(first, last + 1) % self.KEPT)
         onset, frames = self.onset - first, (-first, last - first)
-        variance, of_onset = onset_errors(self._engine, onset, self._reference, self.entered, frames, positions, border)
+        known = onset, self._reference, self.entered, frames, positions, border
+        variance, of_onset, _ = onset_errors(self._engine, *known, faint_mm)
         self.of_onset[recent], self._variance_of_time[recent] = of_onset[recent], variance[recent]
-        self._mean_of_onset = of_onset[recent].mean(0)
+        self._mean_of_onset, self._mean_of_time = of_onset[recent].mean(0), variance[recent].mean()
+
+    @property
+    def late(self) -> Array:
+        """Return the errors (N, 2, 2) of the gradients of advected points by one standard deviation of the time of
+        entry: their change before it, in proportion; 0 for other points.
+        """
+        return (self.entered * np.sqrt(self._variance_of_time))[:, None, None] * self._change
 
     def _mark_advected(self, begins: Array) -> None:
         """Update the mask `entered` (N,) of advected points: test which of the points whose touch begins in this frame,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, FrameContact, TrackedPoints
 from fingerflow.recordings.lens import Geometry
+from fingerflow.schema.variables import sparse_border_mm
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
@@ -24,14 +25,8 @@ Array = NDArray[Any]
 
 #: Names of the results of a frame, which are variables of the data set.
 RESULTS = (
-    *(
-        "real_contact_area",
-        "gross_contact_area",
-        "ellipse_center",
-        "ellipse_semi_axes",
-        "ellipse_angle",
-        "illumination_gain",
-    ),
+    *("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes"),
+    *("ellipse_angle", "illumination_gain"),
     *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
     *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "entered"),
     *("median_divergence", "median_divergence_std", "median_curl", "median_curl_std"),
@@ -70,6 +65,7 @@ class FrameResults:
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
         self._frames = 0
+        self._gross = self._faint_mm = 0.0  # of the largest contact so far
         self._touches = Touches(0)
 
     @property
@@ -87,6 +83,8 @@ class FrameResults:
         self._frames += 1
         variance = points.variance  # by image noise
         curvature, sizes = self._curvature.update(points.points), self._on_glass.sizes(contact)
+        if sizes.gross[0] > self._gross:
+            self._gross, self._faint_mm = float(sizes.gross[0]), sparse_border_mm(sizes.real, sizes.gross)
         residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])
         position = self._geometry.on_glass(points.points)
         skin = SkinFrames(np.array([self._frames]), covered, position, variance, curvature, sizes.ellipse)
@@ -97,16 +95,11 @@ class FrameResults:
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         return {
-            "real_contact_area": sizes.real[0],
-            "gross_contact_area": sizes.gross[0],
-            "ellipse_center": sizes.ellipse.center[0],
-            "ellipse_semi_axes": sizes.ellipse.semi_axes[0],
-            "ellipse_angle": sizes.ellipse.angle[0],
-            "illumination_gain": contact.illumination_gain[0],
-            "position_px": points.points[0],
-            "forward_backward_error": points.error[0],
-            "position_std_px": np.sqrt(variance + curvature)[0],
-            "status": points.status[0],
+            **{"real_contact_area": sizes.real[0], "gross_contact_area": sizes.gross[0]},
+            **{"ellipse_center": sizes.ellipse.center[0], "ellipse_semi_axes": sizes.ellipse.semi_axes[0]},
+            **{"ellipse_angle": sizes.ellipse.angle[0], "illumination_gain": contact.illumination_gain[0]},
+            **{"position_px": points.points[0], "forward_backward_error": points.error[0]},
+            **{"position_std_px": np.sqrt(variance + curvature)[0], "status": points.status[0]},
             "in_contact": covered[0],
             **{"point_strain": fields.strain[0], "entered": self._entries.entered.copy()},
             **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
@@ -153,7 +146,7 @@ class FrameResults:
         entered = self._entries.update(
             position[0], variance, touch.begins[0], touch.touching[0], touch.position[0], skin.border
         )
-        self._entries.learn_errors()
+        self._entries.learn_errors(self._faint_mm)
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position
         moved[0, np.isnan(self._inherited)] = np.nan

@@ -44,9 +44,7 @@ _FRAMES = 7  # of a scene, that are compared
 _STEPS_MM = 0.07, 0.15
 _LEAST_MM2 = 10.0  # contact from which medians and energies are compared
 _STRAINS = ("exx", "eyy", "exy")
-_ENTERED = ENTRY.index("entered")
 _AT_POINTS = "position_px", "position_std_px", "entered", "divergence", "divergence_std", "curl", "curl_std"
-_UNDISTORTED = 0.6  # least stretch between the triangle of the places of onset and that of the skin
 
 
 def cases() -> Iterator[Case]:
@@ -132,8 +130,11 @@ class _Skin:
         self.result, self.scene, self.truth = result, scene, scene.truth
         self.known = np.isfinite(material).all(-1)
         self.material = np.where(self.known[:, None], material, scene.contact_centre)
-        self.entered = result["entry"].values == _ENTERED
+        self.entered = result["entry"].values == ENTRY.index("entered")
         self.triangles = result["triangles"].values
+        # Triangles that times of onset distort count from the last of them, in which they have no strain.
+        self.begins = result["onset_frame"].values[self.triangles].max(1, initial=0)
+        self.from_frame = (result["strain"].values[self.begins, np.arange(len(self.begins))] == 0).all(1)
         self.known &= result["entry"].values != ENTRY.index("seeded_inside")
 
     def at(self, frame: int) -> Errors:
@@ -174,25 +175,21 @@ class _Skin:
     def _strain(self, moved: Array, frame: int) -> Array:
         """Return the true strains (M, 3) of triangles; NaN for triangles that have another reference.
 
-        On a press they count from the true onsets of their corners; on a slide from the first frame, of triangles that
-        touch then. Triangles with skin that moved in count from the last of three entries, and are left out.
+        On a press they count from the true onsets of their corners, or from a frame where these distort them; on a
+        slide from a frame, as those that touch in the first. Triangles with skin that moved in count from the last of
+        three entries, and are left out.
         """
         now = self.truth.positions(self.material, frame)
+        skin, reference = now[self.triangles], (now - moved)[self.triangles]
         if not isinstance(self.scene, _PRESSES):
-            onset = self.result["onset_frame"].values
-            moved = np.where((onset == 0)[:, None], now - self.truth.positions(self.material, 0), np.nan)
-        reference = now - moved
-        triangles = torch.from_numpy(self.triangles.astype(np.int64))
-        strain = green_lagrange(
-            triangle_gradients(torch.from_numpy(reference)[None], triangles, torch.from_numpy(moved)[None])
-        )[0].numpy()
-        corners, skin = reference[self.triangles], now[self.triangles]
-        by_onset, of_skin = (one[:, 1:] - one[:, :1] for one in (corners, skin))
-        ratio = np.linalg.solve(np.where(np.isfinite(of_skin), of_skin, np.eye(2)), np.nan_to_num(by_onset))
-        stretch = np.linalg.svd(ratio, compute_uv=False)
-        usual = (stretch[:, 1] > _UNDISTORTED) & (stretch[:, 0] < 1 / _UNDISTORTED)
-        usual &= ~self.entered[self.triangles].any(1)
-        return np.where(usual[:, None], strain, np.nan)
+            reference[:] = np.nan
+        for begin in np.unique(self.begins[self.from_frame]).tolist():
+            some = self.from_frame & (self.begins == begin)
+            reference[some] = self.truth.positions(self.material, begin)[self.triangles[some]]
+        points, change = (torch.from_numpy(one.reshape(1, -1, 2)) for one in (reference, skin - reference))
+        each = torch.arange(3 * len(skin)).reshape(-1, 3)
+        strain = green_lagrange(triangle_gradients(points, each, change))[0].numpy()
+        return np.where(self.entered[self.triangles].any(1, keepdims=True), np.nan, strain)
 
 
 def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM
 from fingerflow.tracker.deviations.smoothing import smoothing_variance
 
 Array = NDArray[Any]
@@ -30,8 +30,8 @@ def bias_variance(
     and by the border, NaN where a contact is too small for twice the gauge length; and the fields with that length.
 
     The error by the gauge length is that of `smoothing_variance`, from the difference to medians with twice the length.
-    The error by the border is the difference to medians over an ellipse that is smaller by the uncertainty of the
-    border's position. Both are differences of noisy numbers: the variance of the median by errors of points is
+    The error by the border is the difference to medians over an ellipse that is smaller by the error of the
+    ellipse. Both are differences of noisy numbers: the variance of the median by errors of points is
     subtracted from their squares.
 
     Args:
@@ -46,7 +46,7 @@ def bias_variance(
     of_points, components = np.square(fields.median_std), _stack_components(fields)
     # In a space of half the size the gauge length counts twice.
     half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
-    smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(BORDER_MM))
+    smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(ELLIPSE_MM))
     wide = engine.fields(reference / 2, displacement / 2, half, None, entered)
     inner = engine.fields(reference, displacement, smaller, None, entered).median - fields.median
     by_gauge = smoothing_variance(wide.median - fields.median, of_points, _fit_deviations(fields), components)
@@ -89,8 +89,10 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
         for five deformation fields in k frames.
         """
-        low = ordered[frame, field, np.minimum(np.maximum(np.rint(ranks - reach), 0), last).astype(int)]
-        high = ordered[frame, field, np.minimum(np.maximum(np.rint(ranks + reach), 0), last).astype(int)]
+        low, high = (
+            ordered[frame, field, np.minimum(np.maximum(np.rint(ranks + way), 0), last).astype(int)]
+            for way in (-reach, reach)
+        )
         return np.where(count > 0, ((high - low) / 2).astype(np.float64) ** 2, 0.0)
 
     share = share[rows, None]
@@ -106,17 +108,9 @@ def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
     """
     assert fields.divergence_std is not None
     assert fields.curl_std is not None
-    divergence, curl = (_nanmedian(values) for values in (fields.divergence_std, fields.curl_std))
+    divergence, curl = (np.nanmedian(values, axis=1) for values in (fields.divergence_std, fields.curl_std))
     of_element = np.sqrt((divergence**2 + curl**2) / 4)
     return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
-
-
-def _nanmedian(values: Array) -> NDArray[np.float64]:
-    """Return the medians (n,) of values (n, N) without NaN; NaN where no value is finite."""
-    ordered, finite = np.sort(values, axis=1), np.isfinite(values).sum(1)  # NaN last
-    ranks = np.maximum(np.stack(((finite - 1) // 2, finite // 2), axis=1), 0)
-    middle: NDArray[np.float64] = np.take_along_axis(ordered, ranks, axis=1).sum(1).astype(np.float64) / 2
-    return np.where(finite > 0, middle, np.nan)
 
 
 def _stack_components(fields: FrameFields) -> Array:

@@ -29,9 +29,10 @@ def onset_errors(
     positions: Callable[[Array], tuple[Array, Array]],
     border: FrameEllipse,
     faint_mm: float = 0.0,
-) -> tuple[Array, Array]:
-    """Return the variance (N,) frame^2 of the times at which points came into contact, and the covariance (N, 2, 2)
-    mm^2 of their positions then by this error, from the speed of each point at its onset.
+) -> tuple[Array, Array, Array]:
+    """Return the variance (N,) frame^2 of the times at which points came into contact, the covariance (N, 2, 2) mm^2 of
+    their positions then by this error, from the speed of each point at its onset, and the share (N,) of both that is
+    known to be independent of the errors of neighbours.
 
     The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border takes d
     frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is crossed
@@ -40,9 +41,10 @@ def onset_errors(
     neighbours are taken as independent, as the border crosses one ridge after the other. A point that touches in the
     first frame has no onset: its displacement counts from there.
 
-    Where a border grows, neighbours tell how fast it passes the skin. Skin that was advected crosses a border at rest,
-    where neighbours enter along one line and do not: there the point's own depth in the ellipse does, over the frames
-    around its onset.
+    Where a border grows, neighbours tell how fast it passes the skin. Where it stops, the point's own depth in the
+    ellipse tells how much slower it was passed on one side of its onset: a point that the border reached last may have
+    been carried over it later. Skin that was advected crosses a border at rest, where neighbours enter along one line:
+    there its own depth over the frames on both sides does.
 
     Args:
         engine: fits how fast the border passes the skin.
@@ -50,8 +52,8 @@ def onset_errors(
         reference: (N, 2) mm, position at the onset; NaN for none.
         advected: (N,) bool, points that the motion of the skin carried over the border.
         frames: first frame, whose points in contact have no onset, and last frame that is known.
-        positions: returns the positions (2, N, 2) mm of the points, each in the frames (2, N) given for it, and the
-            standard deviations (2, N) mm of a component by image noise.
+        positions: returns the positions (3, N, 2) mm of the points, each in the frames (3, N) given for it, and the
+            standard deviations (3, N) mm of a component by image noise.
         border: of the apparent contact, of all frames from 0.
         faint_mm: by which the border may lie further out, as the rim of the contact is faint: onsets are that late.
     """
@@ -65,31 +67,34 @@ def onset_errors(
         touched, gauge = reference[fitted], engine.settings.gauge_length_mm
         slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
         frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
-    reach = np.minimum(np.maximum(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2), _LONGEST).astype(int)
+    reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
     reach[advected] = _LONGEST
-    pair = np.minimum(np.maximum(np.array((onset - reach, onset + reach)), 0), last)
-    position, deviation = positions(pair)
+    around = np.clip((onset - reach, onset, onset + reach), 0, last)
+    position, deviation = positions(around)
     unknown = ~np.isfinite(position[..., 0] + position[..., 1])
     if np.logical_or.reduce(unknown, None):
-        pair = np.where(unknown, np.maximum(onset, 0), pair)
-        position, deviation = positions(pair)
-    before, after = pair
-    steps = np.maximum(after - before, 1)
-    speed = np.where((counts & (after > before))[:, None], (position[1] - position[0]) / steps[:, None], 0.0)
+        around = np.where(unknown, np.maximum(onset, 0), around)
+        position, deviation = positions(around)
+    steps = np.diff(around, axis=0)
+    both = np.maximum(steps.sum(0), 1)
+    speed = np.nan_to_num((position[2] - position[0]) / both[:, None])
     # The square of a measured speed is too large by the variance of the speed, which follows from those of both
     # positions.
-    noise = (deviation**2).sum(0) / 2 / steps**2
+    noise = (deviation[::2] ** 2).sum(0) / 2 / both**2
     square = (speed**2).sum(1)
-    share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
-    speed = speed * np.sqrt(share)[:, None]
-    if advected.any():
-        depth = border.select(pair.flatten()).inside(position.reshape(-1, 1, 2)).reshape(pair.shape)
-        approach = (depth[1] - depth[0]) / steps
-        # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
-        least = np.linalg.norm(speed, axis=1) * np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
-        frames_per_mm = np.where(advected, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
-    variance = np.where(counts, _crossing_variance(frames_per_mm) + (faint_mm * frames_per_mm) ** 2, 0.0)
-    return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
+    speed = speed * np.sqrt(np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1))[:, None]
+    depth = border.select(around.flatten()).inside(position.reshape(-1, 1, 2)).reshape(around.shape)
+    # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
+    least = np.linalg.norm(speed, axis=1) * np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
+    along = np.maximum(np.fmax((depth[2] - depth[0]) / both, least), 1e-9)
+    # Not more than a deviation of the difference of two depths slower than measured.
+    sides = np.diff(depth, axis=0) + np.sqrt(2) * ELLIPSE_MM
+    slower = np.fmin(*np.where(steps > 0, sides / np.maximum(steps, 1), np.inf))
+    approach = np.where(advected, along, np.maximum(slower, BORDER_MM / reach))
+    slowest = np.fmax(frames_per_mm, 1 / approach)
+    variance = np.where(counts, _crossing_variance(slowest) + (faint_mm * slowest) ** 2, 0.0)
+    share = np.minimum(_crossing_variance(frames_per_mm) / np.maximum(variance, 1e-30), 1)
+    return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :], share
 
 
 def displacement_covariance(variance: Array, of_onset: Array, shape: Array = _ALIKE) -> NDArray[np.float32]:

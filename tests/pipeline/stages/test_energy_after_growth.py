@@ -19,13 +19,13 @@ from tests.small_trials import edit_scene
 _SHAPE: dict[str, Any] = {"frame_shape": (418, 1044), "finger": (6.2, 5.2), "semi_axes": (4.4, 3.6)}
 _PRESS = CourseOfPress(**_SHAPE, n_frames=60, frame_rate=60.0, frames_before_trigger=3)
 _SLOW = replace(_PRESS, n_frames=30, frame_rate=30.0, frames_before_trigger=1)
-_LATE = strained(_PRESS, 1.5)
+_DRAGGED = replace(_PRESS, grown=0.5, held=0.9, dragged=(0.3, 0.1))
 #: Course, print, and number of points.
 COURSES = {
-    "saturates early": (replace(_PRESS, grown=0.6, held=0.85), "101_1", 700),
     "saturates early, 30 frames/s": (replace(_SLOW, grown=0.6, held=0.85), "101_1", 700),
-    "saturates, few points": (replace(_LATE, grown=0.8, held=0.95), "101_2", 300),
-    "is dragged far": (replace(_PRESS, grown=0.5, held=0.9, dragged=(0.3, 0.1)), "101_4", 700),
+    "saturates, few points": (replace(strained(_PRESS, 1.5), grown=0.8, held=0.95), "101_2", 300),
+    "is dragged far": (_DRAGGED, "101_4", 700),
+    "is dragged, 15 frames/s": (replace(_DRAGGED, n_frames=15, frame_rate=15.0, frames_before_trigger=1), "101_4", 700),
     "is released": (replace(_PRESS, grown=0.5, held=0.65, lifts=0.7, released=0.8), "104_2", 700),
 }
 
@@ -53,11 +53,11 @@ def test_energy_once_the_contact_stops_growing(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", COURSES)
 def test_energy_of_real_prints(name: str, tmp_path: Path) -> None:
-    """Both energies are within 3.3 of their deviations in fifteen frames, and two in three within 1.25."""
+    """Both energies are within 3.3 of their deviations in fifteen frames, and three in five within 1.25."""
     if not FINGERS.is_dir():
         pytest.skip(f"the real prints are not here: {FINGERS} does not exist")
     press, fingerprint, points = COURSES[name]
     texture = scene_of_print(CourseOfPress, FINGERS / f"{fingerprint}.tif", DPI).texture
     z = abs(z_of_energies(replace(press, texture=texture), tmp_path, points, press.n_frames // 15))
     assert z.max() < 3.3
-    assert np.mean(z < 1.25) > 2 / 3
+    assert np.mean(z < 1.25) > 0.6

@@ -20,7 +20,7 @@ from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frame
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.schema.variables import CONTACT
+from fingerflow.schema.variables import CONTACT, sparse_border_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
 _LEAST_LIGHT = 0.1
@@ -177,11 +177,13 @@ class ContactStage(Stage):
         super().derive()
         gross = np.where(self.series["gross_contact_area"] > 0, self.series["gross_contact_area"], np.nan)
         around, ratio = 2 * np.sqrt(np.pi * gross), self.series["real_contact_area"] / gross
+        # Formulas hold the part that both areas show.
+        rim_mm = np.sqrt(max(self.faint_rim_mm**2 - sparse_border_mm(ratio * gross, gross) ** 2, 0))
         for name, more in {
-            "gross_contact_area_std": self.faint_rim_mm * around,
+            "gross_contact_area_std": rim_mm * around,
             "real_contact_area_std": self._pale_rim_mm * around * ratio,
-            "contact_area_ratio_std": (self.faint_rim_mm - self._pale_rim_mm) * around * ratio / gross,
-            "ellipse_semi_axes_std": np.full(1, self.faint_rim_mm),
+            "contact_area_ratio_std": max(rim_mm - self._pale_rim_mm, 0) * around * ratio / gross,
+            "ellipse_semi_axes_std": np.full(1, rim_mm),
         }.items():
             if name in self.results:
                 self.results[name][:] = np.hypot(self.results[name][:], np.nan_to_num(more))
@@ -263,7 +265,7 @@ class ContactStage(Stage):
         region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
         rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
-        sparse = view_faults.sparse_border_mm(real, gross)
+        sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
         warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)

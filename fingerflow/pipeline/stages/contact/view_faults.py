@@ -24,14 +24,11 @@ _SHADOW = 0.04  # least share of its light that the glass around the contact los
 # Share of the contact threshold at which a pale rim shows. The border then lies further out, by 0.024 +- 0.009 mm on
 # clean prints; light that varies over the view moves it further than the largest distance. Of a pale rim, `_UNSEEN`
 # times what exceeds the usual distance was missing on prints.
-FAINT, _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.4, 0.02, 0.5, 1.6
+FAINT, _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.4, 0.028, 0.5, 1.6
 # Ridges cover 0.78 +- 0.05 of what they cover further inside within one period of the border of clean prints, with a
 # larger scatter on small contacts, and less where they are thin there: the border then lay 0.1 to 0.4 mm further out.
 _THIN, _SCATTER, _RAMP, _THIN_MM = 0.69, 0.3, 0.06, 0.27
 _RIM_MM = 0.1  # least width of a faint rim that is reported; of clean prints up to 0.07
-# Share of the contact that ridges cover below which its border is uncertain, over which range, and by how much: it lay
-# up to 0.18 mm too far out on presses of the skin chain.
-_SPARSE, _SPARSE_RAMP, _SPARSE_MM = 0.23, 0.06, 0.15
 _STEP = 1.35  # least ratio of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
 # Least relative slope of the light at edges of the glass, 1/px, and least number of edge pixels for a shift.
@@ -160,13 +157,6 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     rim, inner = touching[(depth > 0) & (depth <= 1)], touching[depth > 2]
     usual = _THIN - _SCATTER * period_px / np.sqrt(max(len(inner), 1))
     return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
-
-
-def sparse_border_mm(real: float, gross: float) -> float:
-    """Return by how much, mm, the border is uncertain as ridges cover little of the contact, from its real and gross
-    areas in one unit.
-    """
-    return _SPARSE_MM * float(np.clip((_SPARSE - real / gross) / _SPARSE_RAMP, 0, 1)) if gross > 0 else 0.0
 
 
 def check_sparse_ridges(border_mm: float, real: float, gross: float) -> list[str]:

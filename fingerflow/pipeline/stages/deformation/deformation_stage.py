@@ -67,6 +67,7 @@ class DeformationStage(Stage):
         onset_variance: (N,) frame^2, of the time of onset; 0 for none, NaN if the reference is a frame.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 if the
             reference is a frame.
+        independent: (N,) share of it that is known to be independent of neighbours.
     """
 
     name = "deformation"
@@ -160,12 +161,13 @@ class DeformationStage(Stage):
             gauge = inputs.scene.fields.gauge_length_mm
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
             self.common_position, self.some_later = common, bool(self._later.any())
-            self.onset_variance, self.of_onset = onset_errors(
+            self.onset_variance, self.of_onset, self.independent = onset_errors(
                 *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
                 *(self._select_positions, self._onset_border, self.trial.stage(ContactStage).faint_rim_mm),
             )
         else:
-            self.onset_variance, self.of_onset = np.full(points, np.nan), np.zeros((points, 2, 2))
+            unknown = np.full((2, points), np.nan)
+            (self.onset_variance, self.independent), self.of_onset = unknown, np.zeros((points, 2, 2))
             self._warn_of_unknown()
         self.entered = np.flatnonzero(moves_in)
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
@@ -276,17 +278,14 @@ class DeformationStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        self.results.put("median_divergence", self._median[:, 0], self._gauge)
-        self.results.put("median_divergence_std", median_std[:, 0])
-        self.results.put("median_curl", self._median[:, 1], self._gauge)
-        self.results.put("median_curl_std", median_std[:, 1])
-        self.results.put("median_strain", self._median[:, 2:], self._gauge | {"measure": self._settings.strain})
-        self.results.put("median_strain_std", median_std[:, 2:])
-        rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
-        self.results.put("median_divergence_rate", rates[:, 0])
-        self.results.put("median_divergence_rate_std", rates_std[:, 0])
-        self.results.put("median_strain_rate", rates[:, 2:])
-        self.results.put("median_strain_rate_std", rates_std[:, 2:])
+        measure = self._gauge | {"measure": self._settings.strain}
+        for of, values, about in (("", self._median, (self._gauge, measure)), ("_std", median_std, ({}, {}))):
+            rates = rate(values, times, window, bool(of))
+            self.results.put(f"median_divergence{of}", values[:, 0], about[0])
+            self.results.put(f"median_curl{of}", values[:, 1], about[0])
+            self.results.put(f"median_strain{of}", values[:, 2:], about[1])
+            self.results.put(f"median_divergence_rate{of}", rates[:, 0])
+            self.results.put(f"median_strain_rate{of}", rates[:, 2:])
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

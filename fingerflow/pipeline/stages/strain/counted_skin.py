@@ -14,6 +14,9 @@ from fingerflow.tracker.entry import LEAST_AREA
 
 Points = NDArray[np.float64]
 
+# Deviation of a place of onset, relative to the root of twice a triangle's area, from which it distorts the triangle.
+_ERROR = 0.05
+
 
 class CountedSkin:
     """Triangles of tracked points on which strain is computed, each with one reference frame for all three corners.
@@ -33,6 +36,7 @@ class CountedSkin:
         positions_px: (P, 2) the same, px of the topographic view.
         noise: (P,) mm^2, as `DeformationStage.noise`.
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
+        independent: (P,) as there.
         shape: (P, 2, 2) of the ellipse of a position's errors: its covariance over its mean variance.
         by_onsets: as there.
     """
@@ -55,9 +59,7 @@ class CountedSkin:
         plain, separate = (np.concatenate(parts) for parts in zip(*both, strict=True))
         self.triangles = np.concatenate([plain, separate])
         self.begins = onset[self.triangles].max(1, initial=0)
-        ends = [
-            np.repeat([end for _, end in skins], [len(part) for part in parts]) for parts in zip(*both, strict=True)
-        ]
+        ends = [np.repeat([end for _, end in skins], list(map(len, parts))) for parts in zip(*both, strict=True)]
         self.ends = np.concatenate(ends)
         # Corners of the separate triangles.
         self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
@@ -75,6 +77,7 @@ class CountedSkin:
         self.positions_px = np.concatenate([reference_px, then("position_px")])
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
+        self.independent = np.concatenate([np.nan_to_num(stage.independent), np.zeros(len(since))])
         along, across = results["position_anisotropy"][:].T
         shape = np.stack((1 + along, across, across, 1 - along), axis=1).reshape(-1, 2, 2)
         self.shape = np.concatenate([shape, shape[self._points]])
@@ -96,17 +99,20 @@ class CountedSkin:
         onset of contact, so that the corners never formed this shape in one frame.
 
         Compared with the skin in the frame in which the last corner touches, such a triangle is shrunk or stretched in
-        some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references.
+        some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references. So is one
+        with a corner whose place of onset errs by much of the triangle's size.
         """
         touched = np.flatnonzero(begins < self._position.shape[0])
         corners = triangles[touched]
         then = select_frames(self._position, np.repeat(begins[touched], 3), corners.flatten()).reshape(-1, 3, 2)
         by_onset, of_skin = (corners_of[:, 1:] - corners_of[:, :1] for corners_of in (reference[corners], then))
+        square = np.trace(self._stage.of_onset, axis1=1, axis2=2)[corners].max(1)
+        result = np.zeros(len(triangles), dtype=bool)
+        result[touched] = square > _ERROR**2 * abs(np.linalg.det(np.nan_to_num(by_onset)))
         regular = np.isfinite(of_skin).all((1, 2)) & (abs(np.linalg.det(np.nan_to_num(of_skin))) > 1e-12)
         ratio = np.linalg.solve(of_skin[regular], by_onset[regular])
         stretches = np.linalg.svd(ratio, compute_uv=False)
-        result = np.zeros(len(triangles), dtype=bool)
-        result[touched[regular]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
+        result[touched[regular]] |= (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
     def moved(

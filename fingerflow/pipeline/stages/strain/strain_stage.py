@@ -80,13 +80,8 @@ class StrainStage(Stage):
         self._since = moved.reference_of.attributes(self.inputs.scene.recording.first_frame)
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
-        for name, attributes in {
-            "strain": measure,
-            "strain_std": measure,
-            "strain_energy_density": self._since,
-            "strain_energy_density_std": self._since,
-        }.items():
-            self.results.create(name, attributes)
+        for name in ("strain", "strain_std", "strain_energy_density", "strain_energy_density_std"):
+            self.results.create(name, self._since if "energy" in name else measure)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
         for name in sorted(self._principal):
             self.results.create(name, measure)
@@ -130,7 +125,7 @@ class StrainStage(Stage):
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
         # counts in the deviations.
         of_onset = _KEPT * self._skin.of_onset
-        covariance = displacement_covariance(noise, of_onset)
+        covariance = displacement_covariance(noise, self._skin.independent[:, None, None] * of_onset)
         whole = displacement_covariance(noise + curvature, of_onset, self._skin.shape)
         displacement = self.inputs.tensor(moved)
         corrected = self._triangle_strain(displacement, covariance, touching)
@@ -284,8 +279,8 @@ class StrainStage(Stage):
             "strain_energy_between_points_std": self._between_std,
         }.items():
             self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
-        for name, of in (("strain_energy_rate", "strain_energy"), ("strain_energy_rate_std", "strain_energy_std")):
-            self.results.put(name, self._rate(self.results[of][:], name.endswith("_std")))
+        for of in ("", "_std"):
+            self.results.put(f"strain_energy_rate{of}", self._rate(self.results[f"strain_energy{of}"][:], bool(of)))
         if {"strain_rate", "strain_rate_std"} & self.trial.requested:
             self._put_strain_rate()
 
