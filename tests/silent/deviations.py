@@ -134,7 +134,7 @@ class _Skin:
         self.triangles = result["triangles"].values
         # Triangles that times of onset distort count from the last of them, in which they have no strain.
         self.begins = result["onset_frame"].values[self.triangles].max(1, initial=0)
-        self.from_frame = (result["strain"].values[self.begins, np.arange(len(self.begins))] == 0).all(1)
+        self.from_frame = (result["strain"].values[self.begins, range(len(self.begins))] == 0).all(1)
         self.known &= result["entry"].values != ENTRY.index("seeded_inside")
 
     def at(self, frame: int) -> Errors:
@@ -183,7 +183,7 @@ class _Skin:
         skin, reference = now[self.triangles], (now - moved)[self.triangles]
         if not isinstance(self.scene, _PRESSES):
             reference[:] = np.nan
-        for begin in np.unique(self.begins[self.from_frame]).tolist():
+        for begin in np.unique(self.begins[self.from_frame]):
             some = self.from_frame & (self.begins == begin)
             reference[some] = self.truth.positions(self.material, begin)[self.triangles[some]]
         points, change = (torch.from_numpy(one.reshape(1, -1, 2)) for one in (reference, skin - reference))

@@ -278,14 +278,17 @@ class DeformationStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        measure = self._gauge | {"measure": self._settings.strain}
-        for of, values, about in (("", self._median, (self._gauge, measure)), ("_std", median_std, ({}, {}))):
-            rates = rate(values, times, window, bool(of))
-            self.results.put(f"median_divergence{of}", values[:, 0], about[0])
-            self.results.put(f"median_curl{of}", values[:, 1], about[0])
-            self.results.put(f"median_strain{of}", values[:, 2:], about[1])
-            self.results.put(f"median_divergence_rate{of}", rates[:, 0])
-            self.results.put(f"median_strain_rate{of}", rates[:, 2:])
+        self.results.put("median_divergence", self._median[:, 0], self._gauge)
+        self.results.put("median_divergence_std", median_std[:, 0])
+        self.results.put("median_curl", self._median[:, 1], self._gauge)
+        self.results.put("median_curl_std", median_std[:, 1])
+        self.results.put("median_strain", self._median[:, 2:], self._gauge | {"measure": self._settings.strain})
+        self.results.put("median_strain_std", median_std[:, 2:])
+        rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
+        self.results.put("median_divergence_rate", rates[:, 0])
+        self.results.put("median_divergence_rate_std", rates_std[:, 0])
+        self.results.put("median_strain_rate", rates[:, 2:])
+        self.results.put("median_strain_rate_std", rates_std[:, 2:])
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

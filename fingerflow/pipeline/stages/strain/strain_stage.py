@@ -279,8 +279,8 @@ class StrainStage(Stage):
             "strain_energy_between_points_std": self._between_std,
         }.items():
             self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
-        for of in ("", "_std"):
-            self.results.put(f"strain_energy_rate{of}", self._rate(self.results[f"strain_energy{of}"][:], bool(of)))
+        for name, of in (("strain_energy_rate", "strain_energy"), ("strain_energy_rate_std", "strain_energy_std")):
+            self.results.put(name, self._rate(self.results[of][:], name.endswith("_std")))
         if {"strain_rate", "strain_rate_std"} & self.trial.requested:
             self._put_strain_rate()
 
