@@ -183,8 +183,8 @@ class Deformation:
                 plain = np.where(excluded.among.any(0)[:, None], np.float32(np.nan), reference)
             smoothing = np.concatenate((smoothing, self._smoothing.variance(plain, moved[rows], part, wide)))
             self._of_smoothing = smoothing[-1:]
-        # The latest evaluated frame counts, 0 being the one before these. What smoothing takes grows as fields do, which
-        # grow fourfold at most until the next.
+        # The latest evaluated frame counts, 0 being the one before these. What smoothing takes grows as fields do,
+        # which grow fourfold at most until the next.
         square = np.square(fields.divergence) + np.square(fields.curl)
         size = np.nansum(square, 1, dtype=np.float64) / np.isfinite(square).sum(1).clip(1) + 1e-30
         sizes, latest = np.concatenate((self._square, size[rows])), evaluated.cumsum()

@@ -30,6 +30,7 @@ NEAR = 1 / 2
 # Ratio of the area of onset positions to that of the skin, below which the times of entry shape the displacement more
 # than the skin does.
 LEAST_AREA = 0.5
+_EVERY = 8  # frames between two computations of the errors of onsets in a stream
 _VOTERS = 3  # number of neighbours that decide on a point
 _VALUES = 1 << 16  # positions read at a time, of 64 frames at least
 _EYE = np.eye(2)
@@ -142,12 +143,12 @@ class EntryGradients:
     Frames are given in order of time.
 
     Attributes:
-        late: (E, 2, 2) error of the gradients by one standard deviation of the time of entry: their change over as many
-            frames before it. It is 0 until a point enters.
+        late: (E, 2, 2) error of the gradients by one standard deviation of the time of entry: their change before it,
+            in proportion. It is 0 until a point enters.
     """
 
-    #: Frames before the entry over which the change of a gradient is measured, at most.
-    BEFORE = 8
+    #: Frames before the entry over which the change of a gradient is measured.
+    BEFORE = 4
 
     def __init__(
         self, engine: Engine, entered: Array, positions: Array, onset: Array, gauge_mm: float, onset_variance: Array
@@ -159,7 +160,6 @@ class EntryGradients:
         """
         self._engine, self._onset, self._gauge = engine, onset[entered], gauge_mm
         self._deviation = np.sqrt(onset_variance[entered])
-        self._steps = np.clip(np.nan_to_num(self._deviation).round(), 1, self.BEFORE).astype(int)
         self.late = np.zeros((len(entered), 2, 2))
         valid = np.flatnonzero(np.isfinite(positions).all(1))
         distance = np.full(len(valid), np.inf)
@@ -190,9 +190,8 @@ class EntryGradients:
         self._before = course[-self.BEFORE :]
         for k, frame in enumerate(frames):
             enter = (self._onset == frame).nonzero()[0]
-            steps = self._steps[enter]
-            change = now[k, enter] - course[self.BEFORE + k - steps, enter]
-            self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
+            change = np.nan_to_num(now[k, enter] - course[k, enter])
+            self.late[enter] = change * (self._deviation[enter] / self.BEFORE)[:, None, None]
             self._begun[enter], self._begun_covariance[enter] = now[k, enter], covariance[k, enter]
         return now @ inverse_2x2(self._begun) - _EYE, covariance + self._begun_covariance
 
@@ -214,7 +213,6 @@ class Entries:
             `learn_errors` computes it, it is the mean of the points that touched before.
     """
 
-    BEFORE = 4  # frames before the entry over which the change of a gradient is measured
     KEPT = 512  # number of latest frames that are kept, in which the motion before an onset is known
 
     def __init__(self, engine: Engine, positions: Array) -> None:
@@ -266,18 +264,18 @@ class Entries:
             return None
         entering = begins[queries]
         new, rows = queries[entering], [row]
-        if len(new) and self._frames > self.BEFORE:
-            rows.append((row - self.BEFORE) % self.KEPT)
+        if len(new) and self._frames > EntryGradients.BEFORE:
+            rows.append((row - EntryGradients.BEFORE) % self.KEPT)
         moved, noise = self._position[rows][:, valid] - self._seeded[valid], self._variance[rows][:, valid] / 2
         gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
         assert spread is not None
         now = _EYE + gradient[0]
         self._at_entry[new], self._covariance[new] = now[entering], spread[0, entering]
         if len(gradient) > 1:
-            self._change[new] = np.nan_to_num(gradient[0, entering] - gradient[1, entering]) / self.BEFORE
+            self._change[new] = np.nan_to_num(gradient[0, entering] - gradient[1, entering]) / EntryGradients.BEFORE
         if not np.logical_or.reduce(self.entered):
             return None
-        since, covariance = np.full(self._at_entry.shape, np.nan), np.full(self._covariance.shape, np.nan)
+        since, covariance = np.full_like(self._at_entry, np.nan), np.full_like(self._covariance, np.nan)
         since[queries] = now @ inverse_2x2(self._at_entry[queries]) - _EYE
         covariance[queries] = spread[0] + self._covariance[queries]
         since[~self.entered] = covariance[~self.entered] = np.nan
@@ -291,9 +289,9 @@ class Entries:
         They are computed after every eighth frame, and after each of the 16 frames in which the first points touch: no
         others, whose mean would do, have touched before.
         """
-        if self._frames % EntryGradients.BEFORE and self._frames >= self._begun + 2 * EntryGradients.BEFORE:
+        if self._frames % _EVERY and self._frames >= self._begun + 2 * _EVERY:
             return
-        recent = self.onset >= max(self._frames - 2 * EntryGradients.BEFORE, 1)
+        recent = self.onset >= max(self._frames - 2 * _EVERY, 1)
         first, last = max(self._frames - self.KEPT, 0), self._frames - 1
         if not recent.any():
             return

@@ -166,8 +166,8 @@ class DeformationStage(Stage):
                 *(self._select_positions, self._onset_border, self.trial.stage(ContactStage).faint_rim_mm),
             )
         else:
-            unknown = np.full((2, points), np.nan)
-            (self.onset_variance, self.independent), self.of_onset = unknown, np.zeros((points, 2, 2))
+            self.onset_variance, self.of_onset = np.full(points, np.nan), np.zeros((points, 2, 2))
+            self.independent = self.of_onset[:, 0, 0]
             self._warn_of_unknown()
         self.entered = np.flatnonzero(moves_in)
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)

@@ -77,7 +77,7 @@ class CountedSkin:
         self.positions_px = np.concatenate([reference_px, then("position_px")])
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
-        self.independent = np.concatenate([np.nan_to_num(stage.independent), np.zeros(len(since))])
+        self.independent = np.concatenate([stage.independent, np.zeros(len(since))])
         along, across = results["position_anisotropy"][:].T
         shape = np.stack((1 + along, across, across, 1 - along), axis=1).reshape(-1, 2, 2)
         self.shape = np.concatenate([shape, shape[self._points]])
