@@ -260,32 +260,41 @@ class Entries:
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
             self.late[begins] = 0
             self._mark_advected(begins)
-        elif not np.logical_or.reduce(self.entered):
-            self._frames += 1
-            return None
+            self._learn_entries()
         self._frames += 1
-        queries = ((begins | self.entered) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
-        valid = self._valid
-        if not len(queries) or not len(valid):
-            return None
-        moved, noise = (position - self._seeded)[None, valid], variance[None, valid] / 2
-        gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
-        assert spread is not None
-        now, entering = _EYE + gradient[0], begins[queries]
-        new = queries[entering]
-        self._at_entry[new], self._covariance[new] = now[entering], spread[0, entering]
-        if not np.logical_or.reduce(self.entered):
+        here = (self.entered & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+        if not len(here):
             return None
         since, covariance = np.full(self._at_entry.shape, np.nan), np.full(self._covariance.shape, np.nan)
-        since[queries] = now @ inverse_2x2(self._at_entry[queries]) - _EYE
-        covariance[queries] = spread[0] + self._covariance[queries]
-        since[~self.entered] = covariance[~self.entered] = np.nan
+        gradient, spread = self._gradients(row, here)
+        since[here] = gradient @ inverse_2x2(self._at_entry[here]) - _EYE
+        covariance[here] = spread + self._covariance[here]
         elapsed = self._frames - 1 - self.onset
         early = ((elapsed > 0) & (elapsed <= EntryGradients.BEFORE) & self.entered).nonzero()[0]
         per_frame = np.nan_to_num(since[early]) / elapsed[early, None, None]
         self.late[early] = per_frame * np.sqrt(self._variance_of_time[early])[:, None, None]
         gradients = (values.astype(np.float32)[None] for values in (since, covariance))
         return EnteredPoints(self.entered[None].copy(), *gradients)
+
+    def _gradients(self, row: int, points: Array) -> tuple[Array, Array]:
+        """Return the gradients (E, 2, 2) of positions with respect to the seeded ones at `points` (E,) in a frame that is
+        kept at `row`, and their covariances (E, 2, 2, 2, 2).
+        """
+        valid = self._valid
+        moved, noise = (self._position[row] - self._seeded)[None, valid], self._variance[row][None, valid] / 2
+        gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[points], self._gauge, noise)
+        assert spread is not None
+        return _EYE + gradient[0], spread[0]
+
+    def _learn_entries(self) -> None:
+        """Compute the gradients of the advected points at their entry, as far as they are not known yet."""
+        oldest = self._frames + 1 - self.KEPT
+        new = self.entered & np.isnan(self._at_entry[:, 0, 0]) & (self.onset >= max(oldest, 0))
+        for onset in np.unique(self.onset[new]).tolist():
+            row, position = onset % self.KEPT, self._position[onset % self.KEPT]
+            points = (new & (self.onset == onset) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+            if len(points):
+                self._at_entry[points], self._covariance[points] = self._gradients(row, points)
 
     def learn_errors(self) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
@@ -321,7 +330,7 @@ class Entries:
         later = self.onset > np.minimum.reduce(self.onset[self.onset >= 0])
         rows = (begins & later).nonzero()[0]
         if len(rows):
-            past, onset = self._position[:, rows][order], self.onset[rows] - first
+            past, onset = self._position[order[:, None], rows], self.onset[rows] - first
             motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
         later &= np.isfinite(self._seeded[:, 0] + self._seeded[:, 1])
