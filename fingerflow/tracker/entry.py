@@ -277,8 +277,8 @@ class Entries:
         return EnteredPoints(self.entered[None].copy(), *gradients)
 
     def _gradients(self, row: int, points: Array) -> tuple[Array, Array]:
-        """Return the gradients (E, 2, 2) of positions with respect to the seeded ones at `points` (E,) in a frame that is
-        kept at `row`, and their covariances (E, 2, 2, 2, 2).
+        """Return the gradients (E, 2, 2) of positions with respect to the seeded ones at `points` (E,) in a frame kept
+        at `row`, and their covariances (E, 2, 2, 2, 2).
         """
         valid = self._valid
         moved, noise = (self._position[row] - self._seeded)[None, valid], self._variance[row][None, valid] / 2

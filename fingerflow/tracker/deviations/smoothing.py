@@ -81,10 +81,14 @@ class _Neighbours(NamedTuple):
     def within(cls, gauge_mm: float, positions: Array) -> _Neighbours:
         """Find the neighbours of points at `positions` (N, 2); points at NaN have no weight."""
         x, y = positions.T.astype(np.float32)
-        distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / np.float32(gauge_mm / 2) ** 2
-        weight = np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
-        point, number = ((weight > 0) | np.eye(len(x), dtype=bool)).nonzero()
-        return cls(number, weight[point, number], np.searchsorted(point, np.arange(len(x))))
+        distance = np.square(x[:, None] - x)
+        distance += np.square(y[:, None] - y)
+        np.fill_diagonal(distance, np.where(np.isnan(x), np.inf, 0))
+        near = distance < np.float32(gauge_mm / 2) ** 2  # False for NaN
+        np.fill_diagonal(near, True)
+        point, number = near.nonzero()
+        weight = np.square(np.maximum(1 - distance[point, number] / np.float32(gauge_mm / 2) ** 2, 0))
+        return cls(number, weight, np.searchsorted(point, np.arange(len(x))))
 
     def sums(self, *values: Array) -> NDArray[np.float64]:
         """Return the weighted sums over the neighbours of several arrays of values (..., N), stacked.

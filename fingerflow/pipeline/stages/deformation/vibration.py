@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import eye
+from scipy.sparse import diags, eye
 from scipy.sparse.linalg import spsolve
 
 from fingerflow.pipeline.stages.preparation.series import nanmedian
@@ -63,9 +63,7 @@ def _fast(values: NDArray[np.float64]) -> NDArray[np.float64]:
     columns = values.reshape(len(values), -1)
     # Both ends go on by linear prediction, as a smooth series could follow a vibration up to its end.
     columns = _predicted(_predicted(columns)[::-1])[::-1]
-    third = eye(len(columns), format="csc")
-    for _ in range(3):
-        third = third[1:] - third[:-1]
+    third = diags((-1.0, 3.0, -3.0, 1.0), range(4), (len(columns) - 3, len(columns)), format="csc")
     weight = (2 - 2 * np.cos(2 * np.pi / _WINDOW)) ** -3
     smooth = spsolve((eye(len(columns)) + weight * third.T @ third).tocsc(), columns)
     fast: NDArray[np.float64] = (columns - smooth)[_WINDOW:-_WINDOW]
