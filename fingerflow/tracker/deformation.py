@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
@@ -172,7 +173,7 @@ class Deformation:
             bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
             if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
                 gauge = self._engine.settings.gauge_length_mm
-                of_noise = np.nanmedian(noise[rows], axis=1, keepdims=True)
+                of_noise = nanmedian(noise[rows])[:, None]
                 bias += np.square(_COMMON / gauge) * of_noise + np.square(_AT_BORDER)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:

@@ -130,8 +130,7 @@ def variance_of_late(late: Array) -> Array:
     """Return the variances (2, N) of divergence and curl by an uncertain time of entry, from the errors `late`
     (N, 2, 2) of the displacement gradients by one standard deviation of this time.
     """
-    (xx, xy), (yx, yy) = np.moveaxis(late, 0, -1)
-    result: Array = np.square((xx + yy, yx - xy))
+    result: Array = np.square((late[:, 0, 0] + late[:, 1, 1], late[:, 1, 0] - late[:, 0, 1]))
     return result
 
 
@@ -290,7 +289,7 @@ class Entries:
         """Compute the gradients of the advected points at their entry, as far as they are not known yet."""
         oldest = self._frames + 1 - self.KEPT
         new = self.entered & np.isnan(self._at_entry[:, 0, 0]) & (self.onset >= max(oldest, 0))
-        for onset in np.unique(self.onset[new]).tolist():
+        for onset in set(self.onset[new].tolist()):
             row, position = onset % self.KEPT, self._position[onset % self.KEPT]
             points = (new & (self.onset == onset) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
             if len(points):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.smoothing import smoothing_variance
 
@@ -106,17 +107,9 @@ def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
     """
     assert fields.divergence_std is not None
     assert fields.curl_std is not None
-    divergence, curl = (_nanmedian(values) for values in (fields.divergence_std, fields.curl_std))
+    divergence, curl = (nanmedian(values) for values in (fields.divergence_std, fields.curl_std))
     of_element = np.sqrt((divergence**2 + curl**2) / 4)
     return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
-
-
-def _nanmedian(values: Array) -> NDArray[np.float64]:
-    """Return the medians (n,) of values (n, N) without NaN; NaN where no value is finite."""
-    ordered, finite = np.sort(values, axis=1), np.isfinite(values).sum(1)  # NaN last
-    ranks = np.maximum(np.stack(((finite - 1) // 2, finite // 2), axis=1), 0)
-    middle: NDArray[np.float64] = np.take_along_axis(ordered, ranks, axis=1).sum(1).astype(np.float64) / 2
-    return np.where(finite > 0, middle, np.nan)
 
 
 def _stack_components(fields: FrameFields) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -17,7 +18,7 @@ from fingerflow.pipeline.stages.deformation.vibration import vibration
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
-from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
+from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.sparse import diags, eye
 from scipy.sparse.linalg import spsolve
 
-from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.pipeline.stages.stage import FRAMES_READ
 from fingerflow.results.store import Values
 
