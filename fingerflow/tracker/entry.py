@@ -20,6 +20,7 @@ from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
+from fingerflow.tracker.vibration import vibration
 
 Array = NDArray[Any]
 
@@ -222,6 +223,7 @@ class Entries:
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
         self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
+        self._touching = np.zeros((self.KEPT, count), dtype=bool)
         self._border = FrameEllipse(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
@@ -249,7 +251,7 @@ class Entries:
             border: of the apparent contact, of this frame.
         """
         row = self._frames % self.KEPT
-        self._position[row], self._variance[row] = position, variance
+        self._position[row], self._variance[row], self._touching[row] = position, variance, touching
         for history, new in zip(self._border, border, strict=True):
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching] = -1, False
@@ -294,6 +296,12 @@ class Entries:
             points = (new & (self.onset == onset) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
             if len(points):
                 self._at_entry[points], self._covariance[points] = self._gradients(row, points)
+
+    def vibration_px(self, mm_per_px: float) -> float:
+        """Return the root mean square, px, of the vibration of the whole image in the kept frames; 0 without one."""
+        order = np.arange(max(self._frames - self.KEPT, 0), self._frames) % self.KEPT
+        kept = self._position[order], self._touching[order]
+        return vibration(*kept, np.arange(len(order)), mm_per_px)[1] if len(order) else 0.0
 
     def learn_errors(self) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
