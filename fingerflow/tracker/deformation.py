@@ -126,8 +126,8 @@ class Deformation:
 
     Attributes:
         bias: number of each evaluated frame, and the variance (5,) of its medians by gauge length and border; NaN where
-            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and all until it is
-            known in one.
+            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and until it is known
+            in one, all of a stream and the first eight of frames that come together.
         latest: (5,) the latest of these variances that is known.
     """
 
@@ -161,7 +161,7 @@ class Deformation:
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
         ranks = rank_variance(fields, None if entered is None else entered.among)
         known = np.isfinite(fields.median[:, 0])
-        evaluated = known & ((frames % EVERY == 0) | np.isnan(self.latest[0]))
+        evaluated = known & ((frames % EVERY == 0) | ((known.cumsum() <= EVERY) & np.isnan(self.latest[0])))
         rows = evaluated.nonzero()[0]
         smoothing = self._of_smoothing
         if len(rows):
