@@ -13,6 +13,7 @@ from fingerflow.recordings.lens import Geometry
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
+from fingerflow.tracker.deviations.medians import strain_deviations
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import Entries, variance_of_late
@@ -33,7 +34,7 @@ RESULTS = (
         "illumination_gain",
     ),
     *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
-    *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "entered"),
+    *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "point_strain_std", "entered"),
     *("median_divergence", "median_divergence_std", "median_curl", "median_curl_std"),
     *("median_strain", "median_strain_std"),
     *("global_displacement_vector", "global_displacement_vector_std"),
@@ -113,6 +114,7 @@ class FrameResults:
             "status": points.status[0],
             "in_contact": covered[0],
             **{"point_strain": fields.strain[0], "entered": self.entries.entered.copy()},
+            "point_strain_std": strain_deviations(fields.divergence_std[0], fields.curl_std[0]),
             **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
             **{"curl": fields.curl[0], "curl_std": fields.curl_std[0]},
             **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
