@@ -433,6 +433,7 @@ public:
         blocks_.width = cells_of(plane_.width, 2);
         blocks_left_ = lay_out(blocks_, contact::kWide * width_ / 2);
         outline_floats_ = 2 * plane_.pitch + 2 * whole(plane_.height);
+        steps_ = std::max(cells_of(plane_.height, kCellBlock), cells_of(plane_.width, kCellBlock));
     }
 
     // Sets margin and pitch of a plane that is smoothed by boxes of a width; returns the floats before a row's first cell.
@@ -467,6 +468,7 @@ public:
         wide_ = narrow_ + all;
 
         FINGERFLOW_PICK(count_cells)(mask_, given_.height, given_.width, static_cast<int>(given_.side), plane_, memory, counts_);
+        crop();
         const double covered = FINGERFLOW_PICK(scale_cells)(plane_, counts_, each_, density_);
         const auto smooth = FINGERFLOW_PICK(smooth_cells);
         smooth(plane_, width_, density_, other_);
@@ -504,6 +506,33 @@ public:
 private:
     static float share_of(const CellShare& share) {
         return clamped(static_cast<float>(share.covered / std::max(share.parts, 1e-3)), contact::kLeastShare, 1.0f);
+    }
+
+    // Restricts the planes to the cells around set pixels. Three boxes carry a density over 3 reaches, beyond which it is 0;
+    // what counts of the region, denser than a fourth of the share, lies within 2 and is smoothed again within 3.
+    void crop() {
+        const std::int64_t reach = 4 * static_cast<std::int64_t>(std::ceil(width_ / 2)), height = plane_.height, width = plane_.width;
+        std::int64_t top = height, bottom = 0, left = width, right = 0;
+        for (std::int64_t y = 0; y < height; ++y) {
+            const float* const row = counts_ + y * plane_.pitch;
+            std::int64_t first = 0, end = width;
+            while (first < width && row[first] <= 0) ++first;
+            if (first == width) continue;
+            while (row[end - 1] <= 0) --end;
+            top = std::min(top, y);
+            bottom = y + 1;
+            left = std::min(left, first);
+            right = std::max(right, end);
+        }
+        // Corners lie at whole blocks and vectors, or at the end of the view.
+        top_ = std::max<std::int64_t>(std::min(top, bottom) - reach, 0) / kCellBlock * kCellBlock;
+        left_cells_ = std::max<std::int64_t>(std::min(left, right) - reach, 0) / kCellLanes * kCellLanes;
+        plane_.height = std::min(bottom + reach, height) - top_;
+        plane_.width = std::min(whole(right + reach), width) - left_cells_;
+        blocks_.height = cells_of(plane_.height, 2);
+        blocks_.width = cells_of(plane_.width, 2);
+        for (float** const cells : {&density_, &own_, &other_, &filled_, &counts_, &inverse_, &narrow_, &wide_})
+            *cells += top_ * plane_.pitch + left_cells_;
     }
 
     float share_above(float limit) const {
@@ -544,7 +573,7 @@ private:
                 reached[k] = 1;
                 edge.push_back(static_cast<std::int64_t>(k));
             }
-        for (std::int64_t step = 0; step < std::max(down, across) && !edge.empty(); ++step) {
+        for (std::int64_t step = 0; step < steps_ && !edge.empty(); ++step) {
             next.clear();
             for (const std::int64_t block : edge)
                 for (std::int64_t y = std::max<std::int64_t>(0, block / across - 1); y < std::min(down, block / across + 2); ++y)
@@ -571,8 +600,10 @@ private:
 
     const float* cover(float limit) {
         const auto cover = FINGERFLOW_PICK(cover_row);
+        const std::int64_t across = cells_of(given_.width, given_.side);
+        std::fill_n(margin_, cells_of(given_.height, given_.side) * across, -limit);
         for (std::int64_t y = 0; y < plane_.height; ++y)
-            cover(plane_, y, density_, inverse_, filled_, limit, line_, other_ + y * plane_.pitch, margin_ + y * plane_.width);
+            cover(plane_, y, density_, inverse_, filled_, limit, line_, other_ + y * plane_.pitch, margin_ + (top_ + y) * across + left_cells_);
         return other_;
     }
 
@@ -602,6 +633,8 @@ private:
         yy = (yy / mass - y * y) * square + (square - 1) / 12;
         xy = (xy / mass - x * y) * square;
         const double middle = (xx + yy) / 2, half = (xx - yy) / 2, spread = std::sqrt(half * half + xy * xy);
+        x += static_cast<double>(left_cells_);
+        y += static_cast<double>(top_);
         const double results[] = {mass * square, x * side + (side - 1) / 2, y * side + (side - 1) / 2, 2 * std::sqrt(middle + spread),
                                   2 * std::sqrt(std::max(middle - spread, 0.0)), std::atan2(xy, half) / 2};
         for (int k = 0; k < 6; ++k) numbers_[k + 1] = static_cast<float>(results[k]);
@@ -613,7 +646,8 @@ private:
     const float width_, each_;
     CellPlane plane_, blocks_;          // of cells, and of blocks of 2 x 2 cells
     std::int64_t left_, blocks_left_;  // floats before the first cell of a row
-    std::int64_t outline_floats_;
+    std::int64_t outline_floats_, steps_;  // steps of the flood fill at most
+    std::int64_t top_ = 0, left_cells_ = 0;  // first row and column of the cropped planes
     float *density_, *own_, *other_, *filled_, *counts_, *inverse_, *line_, *among_, *block_means_, *other_blocks_, *narrow_, *wide_;
     Outline outline_;
 };

@@ -36,7 +36,7 @@ _TABLE = {
     "export": "__init__ engines errors graphs kernels ops schema tensors torch_engine",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
-    "view": "__init__ calibration engines errors pipeline player recordings results schema stages",
+    "view": "__init__ calibration engines errors kernels pipeline player recordings results schema stages",
     "__init__": "pipeline recordings results schema",  # only on access to one of their names, see below
 }
 ARROWS = {room: set(others.split()) for room, others in _TABLE.items()}

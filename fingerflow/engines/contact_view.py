@@ -23,8 +23,8 @@ def glass_light(empty: Array, dark: Array | None) -> GlassLight:
     sample = np.sort(light[::step, ::step], axis=None)
     sample = sample[np.isfinite(sample)]
     full = sample[max(math.ceil(len(sample) * FULL_LIGHT), 1) - 1] if len(sample) else math.nan
-    lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
-    light, black = np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))
+    light[~((light > max(LEAST_LIGHT * full, 0)) & (light < np.inf))] = 0  # NaN, too
+    black[~np.isfinite(black)] = 0
     return light[None, None], black[None, None]
 
 

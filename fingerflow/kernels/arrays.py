@@ -124,3 +124,17 @@ def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
     determinant[determinant == 0] = np.nan
     result /= determinant
     return result
+
+
+def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the medians (F, ...) over N points of values (F, N, ...), ignoring NaN; NaN where no value is finite."""
+    if values.shape[1] == 0:
+        return np.full((len(values), *values.shape[2:]), np.nan)
+    # Make the sorted axis contiguous: sorting and counting are then twice as fast.
+    ordered = np.array(values.transpose(0, *range(2, values.ndim), 1), order="C")
+    ordered.sort(axis=-1)  # NaN last
+    count = np.add.reduce(~np.isnan(ordered), -1)
+    first, flat = np.arange(0, ordered.size, ordered.shape[-1]).reshape(count.shape), ordered.ravel()
+    last = len(flat) - 1  # upper bound of the index, which may lie beyond the end where all values are NaN
+    low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(count - 1, 0) // 2, count // 2))
+    return np.where(count > 0, (low + high) / 2, np.nan).astype(np.float64)

@@ -33,6 +33,7 @@ from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
+from fingerflow.tracker.vibration import described
 
 log = logging.getLogger("fingerflow.player")
 
@@ -132,7 +133,7 @@ class Player:
         self._first = math.nan
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
-        self._last_trouble = ""
+        self._last_trouble, self._vibrates = "", False
 
     def run(self) -> dict[str, Any]:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
@@ -190,11 +191,18 @@ class Player:
         return self.summary() | {"warnings": self._warnings}
 
     def _log_findings(self) -> None:
+        self._warn_of_vibration()
         few, missing = self._findings.unknown_medians(), self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
         if few and not any(few in sentence for sentence in missing):
             log.info("%s", few)
+
+    def _warn_of_vibration(self) -> None:
+        """Log once that the whole image vibrates; on a slide, skin in contact and beside it may do so as one."""
+        if not self._vibrates and self.scene.kind != "slip" and (size := self._tracker.vibration_px()):
+            self._vibrates = True
+            log.warning("%s", described(size, "displacement and strain contain this motion"))
 
     def stop(self) -> None:
         """End the stream cleanly: frames that have already arrived are still processed."""
@@ -294,6 +302,7 @@ class Player:
                 self.rate = (self.processed - processed) / (now - logged)
                 logged, processed = now, self.processed
                 log.info("%s", self._line(self.recent))
+                self._warn_of_vibration()
             self._behind = self._falls_behind(now)
 
     def _falls_behind(self, now: float) -> str:

@@ -473,6 +473,9 @@ STREAM = (
         equation="g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass"),
     Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4",
         equation=_STRAIN_EQUATION, shown_in=UM_PER_MM),
+    Variable("point_strain_std", (*FRAME_POINT, "strain_component"), "1", f"{_ERROR} point strain", "f4",
+        equation="√(std(divergence)² + std(curl)²) / 2 of exx and eyy, that over √2 of exy",
+        shown_in=UM_PER_MM),
     Variable("entered", FRAME_POINT, "1",
         "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
         "entry, its neighbours from that moment", "u1",

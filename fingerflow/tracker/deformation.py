@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
@@ -125,8 +126,8 @@ class Deformation:
 
     Attributes:
         bias: number of each evaluated frame, and the variance (5,) of its medians by gauge length and border; NaN where
-            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and all until it is
-            known in one.
+            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and until it is known
+            in one, all of a stream and the first eight of frames that come together.
         latest: (5,) the latest of these variances that is known.
     """
 
@@ -161,7 +162,7 @@ class Deformation:
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
         ranks = rank_variance(fields, None if entered is None else entered.among)
         known = np.isfinite(fields.median[:, 0])
-        evaluated = known & ((frames % EVERY == 0) | np.isnan(self.latest[0]))
+        evaluated = known & ((frames % EVERY == 0) | ((known.cumsum() <= EVERY) & np.isnan(self.latest[0])))
         rows = evaluated.nonzero()[0]
         smoothing = self._of_smoothing
         if len(rows):
@@ -173,7 +174,7 @@ class Deformation:
             bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
             if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
                 gauge = self._engine.settings.gauge_length_mm
-                of_noise = np.nanmedian(noise[rows], axis=1, keepdims=True)
+                of_noise = nanmedian(noise[rows])[:, None]
                 bias += np.square(_COMMON / gauge) * of_noise + np.square(_AT_BORDER)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:

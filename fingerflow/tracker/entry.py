@@ -20,6 +20,7 @@ from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
+from fingerflow.tracker.vibration import vibration
 
 Array = NDArray[Any]
 
@@ -131,8 +132,7 @@ def variance_of_late(late: Array) -> Array:
     """Return the variances (2, N) of divergence and curl by an uncertain time of entry, from the errors `late`
     (N, 2, 2) of the displacement gradients by one standard deviation of this time.
     """
-    (xx, xy), (yx, yy) = np.moveaxis(late, 0, -1)
-    result: Array = np.square((xx + yy, yx - xy))
+    result: Array = np.square((late[:, 0, 0] + late[:, 1, 1], late[:, 1, 0] - late[:, 0, 1]))
     return result
 
 
@@ -220,6 +220,7 @@ class Entries:
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
         self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
+        self._touching = np.zeros((self.KEPT, count), dtype=bool)
         self._border = FrameEllipse(*(np.full((self.KEPT, *size), np.nan) for size in ((2,), (2,), ())))
         # Number of frames so far, and of the frame after the first in which the first point touched.
         self._frames = self._begun = 0
@@ -245,7 +246,7 @@ class Entries:
             border: of the apparent contact, of this frame.
         """
         row = self._frames % self.KEPT
-        self._position[row], self._variance[row] = position, variance
+        self._position[row], self._variance[row], self._touching[row] = position, variance, touching
         for history, new in zip(self._border, border, strict=True):
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching] = -1, False
@@ -255,32 +256,45 @@ class Entries:
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
             self._change[begins], self._variance_of_time[begins] = 0, self._mean_of_time
             self._mark_advected(begins)
+            self._learn_entries()
         self._frames += 1
-        if not np.logical_or.reduce(begins | self.entered):
-            return None
-        queries = ((begins | self.entered) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
-        valid = self._valid
-        if not len(queries) or not len(valid):
-            return None
-        entering = begins[queries]
-        new, rows = queries[entering], [row]
-        if len(new) and self._frames > EntryGradients.BEFORE:
-            rows.append((row - EntryGradients.BEFORE) % self.KEPT)
-        moved, noise = self._position[rows][:, valid] - self._seeded[valid], self._variance[rows][:, valid] / 2
-        gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
-        assert spread is not None
-        now = _EYE + gradient[0]
-        self._at_entry[new], self._covariance[new] = now[entering], spread[0, entering]
-        if len(gradient) > 1:
-            self._change[new] = np.nan_to_num(gradient[0, entering] - gradient[1, entering]) / EntryGradients.BEFORE
-        if not np.logical_or.reduce(self.entered):
+        here = (self.entered & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+        if not len(here):
             return None
         since, covariance = np.full_like(self._at_entry, np.nan), np.full_like(self._covariance, np.nan)
-        since[queries] = now @ inverse_2x2(self._at_entry[queries]) - _EYE
-        covariance[queries] = spread[0] + self._covariance[queries]
-        since[~self.entered] = covariance[~self.entered] = np.nan
+        gradient, spread = self._gradients(row, here)
+        since[here] = gradient @ inverse_2x2(self._at_entry[here]) - _EYE
+        covariance[here] = spread + self._covariance[here]
         gradients = (values.astype(np.float32)[None] for values in (since, covariance))
         return EnteredPoints(self.entered[None].copy(), *gradients)
+
+    def _gradients(self, row: int, points: Array) -> tuple[Array, Array]:
+        """Return the gradients (E, 2, 2) of positions with respect to the seeded ones at `points` (E,) in a frame kept
+        at `row`, and their covariances (E, 2, 2, 2, 2).
+        """
+        valid = self._valid
+        moved, noise = (self._position[row] - self._seeded)[None, valid], self._variance[row][None, valid] / 2
+        gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[points], self._gauge, noise)
+        assert spread is not None
+        return _EYE + gradient[0], spread[0]
+
+    def _learn_entries(self) -> None:
+        """Compute the gradients of the advected points at their entry, as far as they are not known yet."""
+        oldest = self._frames + 1 - self.KEPT
+        new = self.entered & np.isnan(self._at_entry[:, 0, 0]) & (self.onset >= max(oldest, 0))
+        for onset in set(self.onset[new].tolist()):
+            row, position = onset % self.KEPT, self._position[onset % self.KEPT]
+            points = (new & (self.onset == onset) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+            if len(points):
+                self._at_entry[points], self._covariance[points] = self._gradients(row, points)
+                earlier, _ = self._gradients((onset - EntryGradients.BEFORE) % self.KEPT, points)
+                self._change[points] = np.nan_to_num(self._at_entry[points] - earlier) / EntryGradients.BEFORE
+
+    def vibration_px(self, mm_per_px: float) -> float:
+        """Return the root mean square, px, of the vibration of the whole image in the kept frames; 0 without one."""
+        order = np.arange(max(self._frames - self.KEPT, 0), self._frames) % self.KEPT
+        kept = self._position[order], self._touching[order]
+        return vibration(*kept, np.arange(len(order)), mm_per_px)[1] if len(order) else 0.0
 
     def learn_errors(self, faint_mm: float) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
@@ -324,7 +338,7 @@ class Entries:
         later = self.onset > np.minimum.reduce(self.onset[self.onset >= 0])
         rows = (begins & later).nonzero()[0]
         if len(rows):
-            past, onset = self._position[:, rows][order], self.onset[rows] - first
+            past, onset = self._position[order[:, None], rows], self.onset[rows] - first
             motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
         later &= np.isfinite(self._seeded[:, 0] + self._seeded[:, 1])

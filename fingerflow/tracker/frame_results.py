@@ -14,6 +14,7 @@ from fingerflow.schema.variables import sparse_border_mm
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
+from fingerflow.tracker.deviations.medians import strain_deviations
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import Entries, variance_of_late
@@ -28,7 +29,7 @@ RESULTS = (
     *("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes"),
     *("ellipse_angle", "illumination_gain"),
     *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
-    *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "entered"),
+    *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "point_strain_std", "entered"),
     *("median_divergence", "median_divergence_std", "median_curl", "median_curl_std"),
     *("median_strain", "median_strain_std"),
     *("global_displacement_vector", "global_displacement_vector_std"),
@@ -56,6 +57,9 @@ class FrameResults:
     Args:
         engine: that computes.
         geometry: of the views.
+
+    Attributes:
+        entries: of the present points into the contact.
     """
 
     def __init__(self, engine: Engine, geometry: Geometry) -> None:
@@ -64,6 +68,7 @@ class FrameResults:
         self._on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
+        self.entries = Entries(engine, np.zeros((0, 2)))
         self._frames = 0
         self._gross = self._faint_mm = 0.0  # of the largest contact so far
         self._touches = Touches(0)
@@ -101,7 +106,8 @@ class FrameResults:
             **{"position_px": points.points[0], "forward_backward_error": points.error[0]},
             **{"position_std_px": np.sqrt(variance + curvature)[0], "status": points.status[0]},
             "in_contact": covered[0],
-            **{"point_strain": fields.strain[0], "entered": self._entries.entered.copy()},
+            **{"point_strain": fields.strain[0], "entered": self.entries.entered.copy()},
+            "point_strain_std": strain_deviations(fields.divergence_std[0], fields.curl_std[0]),
             **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
             **{"curl": fields.curl[0], "curl_std": fields.curl_std[0]},
             **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
@@ -127,7 +133,7 @@ class FrameResults:
             inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
             touches.replace(rows, positions[rows] - inherited)
         self._touches = touches
-        self._entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)
+        self.entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)
         self._deformation = Deformation(self._engine, positions)
         # Noise counts alike for all points, and their onsets are not known yet.
         alike = np.zeros(count, int), seeding.points, np.ones(count), np.zeros((count, 2, 2))
@@ -143,13 +149,13 @@ class FrameResults:
             self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
         touch = self._touches.add_frames(skin.numbers, skin.covered, position, skin.noise, skin.border)
         variance = (skin.noise[0] + skin.curvature[0]) * px2
-        entered = self._entries.update(
+        entered = self.entries.update(
             position[0], variance, touch.begins[0], touch.touching[0], touch.position[0], skin.border
         )
-        self._entries.learn_errors(self._faint_mm)
+        self.entries.learn_errors(self._faint_mm)
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position
         moved[0, np.isnan(self._inherited)] = np.nan
-        entries, reference, curvature = self._entries, touch.position[0], skin.curvature * px2
+        entries, reference, curvature = self.entries, touch.position[0], skin.curvature * px2
         late = variance_of_late(entries.late)
         return Displacement(reference, moved, noise, curvature, entries.of_onset, self._gain, entered, late)

@@ -304,6 +304,12 @@ class StreamTracker:
         """Return the slip flag after the last frame with results: whether skin in contact slips."""
         return self._results.slipping
 
+    def vibration_px(self) -> float:
+        """Return the root mean square, px, of the vibration of the whole image in the last 512 frames with results; 0
+        without one. Safe in any thread.
+        """
+        return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
+
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
         return self._decided(self._check.finish())

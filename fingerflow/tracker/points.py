@@ -378,8 +378,8 @@ class Points:
         """
         window, frames = self._engine.settings.window_px, self._followed - self._checked
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
-        change = change[np.isfinite(change)]
-        fastest = window // 2 * float(np.quantile(change, 0.95)) / frames if len(change) else 0.0
+        change = np.sort(change[np.isfinite(change)])
+        fastest = window // 2 * float(change[int(0.95 * len(change))]) / frames if len(change) else 0.0
         self._interval = _update_interval(fastest)
         self._warp, self._checked = warp, self._followed
         much = shift > UPDATE_PX

@@ -49,13 +49,14 @@ class SizesOnGlass:
 
     def sizes(self, contact: FrameContact) -> Sizes:
         """Convert the sizes of the contact in n frames."""
-        center, axes = (values.astype(np.float64) for values in (contact.center, contact.semi_axes))
+        center, axes = contact.center.astype(np.float64), contact.semi_axes.astype(np.float64)
         angle, pixel = contact.angle, np.asarray(self._size**2)
         if self._means is not None:
             gain, center, axes, angle = self._straightened(contact, center, axes)
             pixel = gain * pixel
-        real, gross = (values.astype(np.float64) * pixel for values in (contact.real_area_px, contact.gross_area_px))
-        return Sizes(pixel, real, gross, FrameEllipse(center * self._size, axes * self._size, angle.astype(np.float64)))
+        real, gross = contact.real_area_px.astype(np.float64), contact.gross_area_px.astype(np.float64)
+        ellipse = FrameEllipse(center * self._size, axes * self._size, angle.astype(np.float64))
+        return Sizes(pixel, real * pixel, gross * pixel, ellipse)
 
     def _straightened(self, contact: FrameContact, center: Array, axes: Array) -> tuple[Array, Array, Array, Array]:
         """Return gain of the area (n,), centre (n, 2) px, semi-axes (n, 2) px and angle (n,) without the distortion of

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.results.largest_load import frame_of_largest
 from fingerflow.results.result import open_result
@@ -176,7 +177,7 @@ class Results:
         if point_key and len(points):
             points_named = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
             columns |= self._column(
-                point_key, f"{point_key} of {points_named}", course_median(self.point_courses(point_key, points))
+                point_key, f"{point_key} of {points_named}", nanmedian(self.point_courses(point_key, points))
             )
         return _csv(columns)
 
@@ -264,14 +265,6 @@ class Results:
         if part not in LABELS[last]:
             raise FingerflowError(f"{key}: the components are {', '.join(LABELS[last])}")
         return values[..., LABELS[last].index(part)]
-
-
-def course_median(values: Values) -> Values:
-    """Return the median (F,) over K points of time series (F, K), ignoring NaN."""
-    # Import here, since this also imports torch, which the first image must not wait for.
-    from fingerflow.pipeline.stages.preparation.series import nanmedian
-
-    return nanmedian(values)
 
 
 def _csv(columns: dict[str, NDArray[Any]]) -> str:

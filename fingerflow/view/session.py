@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.player.binary_answer import packed
 from fingerflow.player.page_token import new_token
 from fingerflow.recordings import force_columns, open_recording
@@ -26,7 +27,7 @@ from fingerflow.view.draft import Draft, files_beside, list_names
 from fingerflow.view.key_forms import field_name, forms, reword
 from fingerflow.view.open_path import RESULT
 from fingerflow.view.pictures import Pictures
-from fingerflow.view.results import Results, course_median
+from fingerflow.view.results import Results
 
 if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does not need it
     from fingerflow.view.preview import Previewer
@@ -336,7 +337,7 @@ class Session:
         key, points = request["key"], [int(point) for point in request["points"]]
         result = self._opened_result()
         values = result.point_courses(key, points)
-        arrays = {"values": course_median(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
+        arrays = {"values": nanmedian(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
         if len(points) == 1 and "status" in result.data:
             arrays["status"] = result.point_courses("status", points)[:, 0].astype(np.uint8)
         return packed({"key": key, "points": points}, arrays)

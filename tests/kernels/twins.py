@@ -138,8 +138,9 @@ def regions() -> Iterator[Call]:
     mask = (inside & (torch.sin(0.45 * (x + 0.3 * y)) > 0))[None, None].repeat(3, 1, 1, 1)
     mask[1, :, 120:170, 190:240] = False
     mask[2, :, 5:30, 360:400] = True
-    for radius, cell in ((8, None), (8, 8), (5, None)):
-        yield partial(apparent_contact, radius=radius, cell=cell), (mask,)
+    small = mask & (torch.hypot(x - 290, y - 80) < 30)  # in a part of the view
+    for (radius, cell), seen in product(((8, None), (8, 8), (5, None)), (mask, small)):
+        yield partial(apparent_contact, radius=radius, cell=cell), (seen,)
     yield partial(apparent_contact, radius=6), (blobs((5, 300, 220), 0.5),)
 
 

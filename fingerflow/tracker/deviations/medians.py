@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM
 from fingerflow.tracker.deviations.smoothing import smoothing_variance
 
@@ -103,14 +104,19 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
 
 
 def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
-    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points,
-    those of gradients whose four elements err alike.
-    """
+    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points."""
     assert fields.divergence_std is not None
     assert fields.curl_std is not None
-    divergence, curl = (np.nanmedian(values, axis=1) for values in (fields.divergence_std, fields.curl_std))
-    of_element = np.sqrt((divergence**2 + curl**2) / 4)
-    return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
+    divergence, curl = (nanmedian(values)[:, None] for values in (fields.divergence_std, fields.curl_std))
+    return np.concatenate((divergence, curl, strain_deviations(divergence, curl)[:, 0]), axis=1)
+
+
+def strain_deviations(divergence_std: Array, curl_std: Array) -> Array:
+    """Return the deviations (..., 3) of exx, eyy and exy from those (...) of divergence and curl, to first order, of
+    gradients whose four elements err alike.
+    """
+    of_element = np.sqrt(divergence_std**2 + curl_std**2)[..., None] / 2
+    return of_element * np.array((1, 1, 0.5**0.5), np.float32)
 
 
 def _stack_components(fields: FrameFields) -> Array:

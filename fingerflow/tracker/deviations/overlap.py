@@ -79,17 +79,17 @@ class OverlapErrors:
         positions = self.positions_px[valid]
         centres = positions[:: max(1, len(valid) // _CENTRES)]
         away = np.square(centres[:, None] - positions).sum(-1)
-        gains = np.ones(len(centres), np.float32)
-        for index, squared in enumerate(away):
-            near = np.flatnonzero(squared < (gauge_px / 2) ** 2)
-            weight = np.square(1 - squared[near] / (gauge_px / 2) ** 2)
-            lever = weight[:, None] * (positions[near] - weight @ positions[near] / weight.sum())
-            shared = self.between(valid[near, None], valid[None, near])
-            np.fill_diagonal(shared, 1)
-            alone = float(np.square(lever).sum())
-            if alone > 0:
-                gains[index] = max(float(((shared @ lever) * lever).sum()) / alone, 1)
         result = np.ones(len(self.positions_px), np.float32)
-        if len(valid):
-            result[valid] = gains[away.argmin(0)]
+        if not len(valid):
+            return result
+        weight = np.square(np.maximum(1 - away / (gauge_px / 2) ** 2, 0))
+        most = int((weight > 0).sum(1).max())
+        near = np.argpartition(-weight, most - 1, axis=1)[:, :most]  # of the others the weight is 0
+        weight, places = np.take_along_axis(weight, near, 1)[..., None], positions[near]
+        lever = weight * (places - (weight * places).sum(1, keepdims=True) / weight.sum(1, keepdims=True))
+        shared = self.between(valid[near[:, :, None]], valid[near[:, None]])
+        shared[:, np.arange(most), np.arange(most)] = 1
+        alone = np.square(lever).sum((1, 2))
+        gains = np.maximum(((shared @ lever) * lever).sum((1, 2)) / np.maximum(alone, 1e-30), 1)
+        result[valid] = gains[away.argmin(0)]
         return result

@@ -35,7 +35,6 @@ class SmoothingErrors:
 
     def __init__(self, gauge_mm: float, positions: Array) -> None:
         self._gauge, self._neighbours = gauge_mm, _Neighbours.within(gauge_mm, positions)
-        self._fitted, self._around = positions[:0], self._neighbours  # positions of the last fits, and their neighbours
 
     def variance(self, reference: Array, displacement: Array, fields: FrameFields, wide: FrameFields) -> Array:
         """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
@@ -48,12 +47,11 @@ class SmoothingErrors:
             wide: the same with twice the gauge length.
         """
         fitted = np.isfinite(reference).all(1)
-        offset = np.full(displacement.shape[:2], np.nan)
-        if fitted.any():
-            near, moved = reference[fitted], displacement[:, fitted]
-            if not np.array_equal(near, self._fitted):  # in a recording they stay
-                self._fitted, self._around = near, _Neighbours.within(self._gauge, near)
-            offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._around)
+        valid = fitted & np.isfinite(displacement[..., 0] + displacement[..., 1])
+        centred = (reference - reference[fitted].mean(0)).T if fitted.any() else reference.T
+        mass, x, y = self._neighbours.sums(valid, *(np.where(valid, values, 0) for values in centred))
+        along, across = (sums / np.maximum(mass, 1e-12) - values for sums, values in zip((x, y), centred, strict=True))
+        offset = np.sqrt(along * along + across * across)  # of a point from the centroid of its fit
         square = np.stack(
             [
                 np.square(getattr(fields, name) - getattr(wide, name), dtype=np.float64)
@@ -83,10 +81,14 @@ class _Neighbours(NamedTuple):
     def within(cls, gauge_mm: float, positions: Array) -> _Neighbours:
         """Find the neighbours of points at `positions` (N, 2); points at NaN have no weight."""
         x, y = positions.T.astype(np.float32)
-        distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / np.float32(gauge_mm / 2) ** 2
-        weight = np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
-        point, number = ((weight > 0) | np.eye(len(x), dtype=bool)).nonzero()
-        return cls(number, weight[point, number], np.searchsorted(point, np.arange(len(x))))
+        distance = np.square(x[:, None] - x)
+        distance += np.square(y[:, None] - y)
+        np.fill_diagonal(distance, np.where(np.isnan(x), np.inf, 0))
+        near = distance < np.float32(gauge_mm / 2) ** 2  # False for NaN
+        np.fill_diagonal(near, True)
+        point, number = near.nonzero()
+        weight = np.square(np.maximum(1 - distance[point, number] / np.float32(gauge_mm / 2) ** 2, 0))
+        return cls(number, weight, np.searchsorted(point, np.arange(len(x))))
 
     def sums(self, *values: Array) -> NDArray[np.float64]:
         """Return the weighted sums over the neighbours of several arrays of values (..., N), stacked.
@@ -96,14 +98,6 @@ class _Neighbours(NamedTuple):
         """
         rows = np.stack([part.astype(np.float32) for part in values])
         return np.add.reduceat(rows.take(self.number, axis=-1) * self.weight, self.start, axis=-1).astype(np.float64)
-
-
-def _centroid_offsets(positions: Array, valid: Array, neighbours: _Neighbours) -> NDArray[np.float64]:
-    """Return the distances (n, P) of P positions (P, 2) from the centroid of the neighbours that are `valid` (n, P)."""
-    centred = (positions - positions.mean(0)).T
-    mass, x, y = neighbours.sums(valid, *(valid * values for values in centred))
-    along, across = (sums / np.maximum(mass, 1e-12) - values for sums, values in zip((x, y), centred, strict=True))
-    return np.sqrt(along * along + across * across)
 
 
 def smoothing_variance(difference: Any, of_points: Any, single: Any, values: Array) -> Array:

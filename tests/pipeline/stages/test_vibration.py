@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fingerflow import process
-from fingerflow.pipeline.stages.deformation.vibration import vibration
-from tests.small_trials import scene_beside, warnings_of
+from fingerflow import open_stream, player, process
+from fingerflow.tracker.vibration import vibration
+from tests.small_trials import recipe_of_trials, scene_beside, warnings_of, write_library_bundle
 
 FRAMES, POINTS, PX = 90, 120, 0.03  # PX: mm
 SHAKEN = 0.3 * PX * np.stack((np.sin(np.arange(FRAMES) * np.pi / 3), np.cos(np.arange(FRAMES) * np.pi / 3)), axis=1)
@@ -32,7 +32,7 @@ def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> Non
     else:
         position += SHAKEN[:, None] * moves[..., None]
     frames = np.delete(time, [40] if "lost" in which else [])
-    found = vibration(position, inside, frames, PX)[frames]
+    found = vibration(position, inside, frames, PX)[0][frames]
     expected = SHAKEN[frames] if "camera" in which else 0 * found
     off = np.abs(found - expected) / np.abs(SHAKEN).max()
     assert np.delete(off, range(35, 45), axis=0).max() < 0.1
@@ -40,13 +40,19 @@ def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> Non
 
 
 def test_vibration_is_named_and_adds_no_energy(trials: Path, tmp_path: Path) -> None:
-    """With a vibration of 1 px the strain energy of a press is that without it, to three standard deviations."""
+    """With a vibration of 1 px the strain energy of a press is that without it, to three standard deviations; a stream
+    says so, too.
+    """
     outputs = ["strain_energy", "displacement"]
     frames = np.load(trials / "press" / "frames.npy")
     shaken = np.stack([np.roll(frame, round(np.sin(k * np.pi / 3)), 0) for k, frame in enumerate(frames)])
     still, moved = (
         process(scene_beside(trials / "press", tmp_path, frames=taken), outputs) for taken in (frames, shaken)
     )
+    bundle = write_library_bundle(tmp_path / "bundle", recipe_of_trials())
+    played = [str(bundle), "--scene", str(tmp_path / "scene.toml"), "--output", str(tmp_path / "stream")]
+    assert player.main([*played, "--page", "off"]) == 0
+    assert "the whole image vibrates, by 0." in warnings_of(open_stream(tmp_path / "stream"))
     assert "the whole image vibrates, by 0." in warnings_of(moved)
     assert "vibrates" not in warnings_of(still)
     off = np.abs(moved["strain_energy"] - still["strain_energy"]).values

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
-from fingerflow.pipeline.stages.deformation.vibration import vibration
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
-from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
+from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
@@ -30,6 +30,7 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
+from fingerflow.tracker.vibration import described, vibration
 
 Points = NDArray[np.float64]
 
@@ -123,13 +124,11 @@ class DeformationStage(Stage):
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
         self._shaken, pressed = np.zeros((len(self.trial), 2)), inputs.scene.kind in ("press", "single_view")
         if pressed:
-            self._shaken = vibration(self.results["position"], self.results["in_contact"], usable, self.mm_per_px)
-        if self._shaken.any():
-            shaken_px = np.sqrt(np.square(self._shaken).mean(0).sum()) / self.mm_per_px
-            self.warnings.append(
-                f"the whole image vibrates, by {shaken_px:.2g} px RMS: displacement and strain are those without this "
-                f"motion, positions those with it. Check what shakes the camera: a fan, a motor, a loose mount"
-            )
+            position, in_contact = self.results["position"], self.results["in_contact"]
+            self._shaken, shaken_px = vibration(position, in_contact, usable, self.mm_per_px)
+            if shaken_px:
+                counted = "displacement and strain are those without this motion, positions those with it"
+                self.warnings.append(described(shaken_px, counted))
         if self.reference_of.frame is not None:
             then = self.reference_of.frame
             noise = self.results["position_noise_px"][then : then + 1][0]

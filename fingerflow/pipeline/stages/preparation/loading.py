@@ -74,7 +74,7 @@ class LoadingStage(Stage):
                     "frame 0 is taken; give [recording] trigger_frame"
                 )
         forces = to_newtons(forces, _sensors(settings, tuple(names)), names)
-        _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
+        extremes = _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
         values = forces.resample(inputs.times)
         self.warnings.extend(forces.warnings)
         for name, column in names.items():
@@ -84,7 +84,7 @@ class LoadingStage(Stage):
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
                     f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
-        self._check_frames(settings.file, values["normal_force"], forces.channels["normal_force"])
+        self._check_frames(settings.file, values["normal_force"], *extremes)
         if travel:
             self.results.put("actuator_position", 1e3 * values["actuator_position"])
         self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
@@ -94,12 +94,11 @@ class LoadingStage(Stage):
             self.tangential = np.hypot(x, y) if len(components) == 2 else x
             self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
 
-    def _check_frames(self, file: Path, normal: Series, recorded: Series) -> None:
+    def _check_frames(self, file: Path, normal: Series, lowest: float, highest: float) -> None:
         """Warn of implausibly large forces, and of recordings that begin when the finger already presses."""
         self.warnings.extend(plausibility.check_force(normal))
         if self.inputs.scene.kind == "slip" or not np.isfinite(normal).any():
             return
-        lowest, highest = np.nanquantile(recorded, (0.01, 0.99))
         least, limit = float(np.nanmin(normal)), max(_LEAST_OFFSET, _OFFSET_SHARE * highest)
         if lowest < limit < least:
             self.warnings.append(
@@ -155,10 +154,11 @@ def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sens
     }
 
 
-def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> None:
+def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> tuple[float, float]:
     """Check that forces are plausible for a pressing finger: positive, in newtons, and 0 without contact.
 
-    Raises FingerflowError for a normal force with the wrong sign; warns of an offset and of a trigger channel in N.
+    Return the quantiles 0.01 and 0.99 of the normal force, N. Raises FingerflowError for a normal force with the wrong
+    sign; warns of an offset and of a trigger channel in N.
     """
     if forces.trigger is not None and forces.units[forces.trigger] == "N":
         forces.warnings.append(
@@ -167,7 +167,7 @@ def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bo
     normal = forces.channels["normal_force"]
     normal = normal[np.isfinite(normal)]
     if not normal.size:
-        return
+        return np.nan, np.nan
     # Use quantiles, since the outer hundredth at either end may be noise or a shock.
     lowest, highest = np.quantile(normal, (0.01, 0.99))
     if -lowest > max(_LEAST_OFFSET, 3 * highest):
@@ -180,3 +180,4 @@ def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bo
             f"{file}: the normal force {names['normal_force']!r} is never below {lowest:.3g} N; if the finger was off "
             "the glass at some time, that is the sensor's offset: give [forces] offset or tare = [t0, t1] in the scene"
         )
+    return float(lowest), float(highest)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.models.partial_slip import (
     CurveComparison,
     FrictionFit,
@@ -25,7 +26,6 @@ from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
-from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid, growth_rates
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage

@@ -3,11 +3,11 @@
 import numpy as np
 import torch
 
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_areas, triangle_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
-from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.counted_skin import triangulate
 from fingerflow.schema.variables import PRINTED_STRAIN

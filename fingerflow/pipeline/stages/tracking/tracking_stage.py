@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Images, TrackedPoints, noise_of, nothing_found, select
 from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -21,7 +22,6 @@ from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
-from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, SeededPoints
 from fingerflow.results.free_space import size_of_results

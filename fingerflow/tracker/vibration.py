@@ -1,15 +1,17 @@
 """Vibration of the whole image, as of a camera or its mount, found by the motion that all points have in common."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import eye
-from scipy.sparse.linalg import spsolve
 
-from fingerflow.pipeline.stages.preparation.series import nanmedian
-from fingerflow.pipeline.stages.stage import FRAMES_READ
-from fingerflow.results.store import Values
+from fingerflow.kernels.arrays import nanmedian
 
+Values = Any  # array with frames along the first axis, in memory or in a file
+
+_FRAMES_READ = 64  # frames in memory at a time
 _WINDOW = 12  # frames, the period of which a smooth path has half
+_LEAST_FRAMES = 3 * _WINDOW
 _COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
 _FEWEST = 12  # least number of points in contact, and of points beside it, of whose steps the medians are compared
 # Least root mean square of a component, in px, in each quarter of the frames, largest share of it by which skin in
@@ -17,8 +19,11 @@ _FEWEST = 12  # least number of points in contact, and of points beside it, of w
 _LEAST_PX, _DIFFERS, _STEADY = 0.02, 0.5, 0.25
 
 
-def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm_per_px: float) -> NDArray[np.float64]:
-    """Return the displacement (F, 2) mm of the image by vibration; 0 in all frames if there is none.
+def vibration(
+    position: Values, in_contact: Values, frames: NDArray[np.intp], mm_per_px: float
+) -> tuple[NDArray[np.float64], float]:
+    """Return the displacement (F, 2) mm of the image by vibration, and its root mean square, px; 0 in all frames if
+    there is none.
 
     It is what a smooth path leaves of the median path of the points, if skin in contact and skin beside it have it in
     common: glass holds the skin in contact, so that a finger that trembles moves the skin beside it alone. Next to
@@ -32,11 +37,11 @@ def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm
     result, steps = np.zeros((position.shape[0], 2)), np.full((len(frames), 3, 2), np.nan)
     some = slice(None, None, max(1, position.shape[1] // _COMPARED))
     before = np.full(position[:1][:, some].shape, np.nan)
-    for first in range(int(frames[0]), int(frames[-1]) + 1, FRAMES_READ):
-        rows = np.flatnonzero((frames >= first) & (frames < first + FRAMES_READ))
+    for first in range(int(frames[0]), int(frames[-1]) + 1, _FRAMES_READ):
+        rows = np.flatnonzero((frames >= first) & (frames < first + _FRAMES_READ))
         if not len(rows):
             continue
-        read = slice(first, first + FRAMES_READ)
+        read = slice(first, first + _FRAMES_READ)
         here, inside = (values[read][frames[rows] - first][:, some] for values in (position, in_contact))
         moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
         seen = np.isfinite(moved[..., 0])
@@ -44,8 +49,8 @@ def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm
             medians = nanmedian(np.where(group[..., None], moved, np.nan))
             steps[rows, side] = np.where(group.sum(1)[:, None] >= _FEWEST, medians, np.nan)
     both = np.isfinite(steps).all((1, 2))
-    if both.sum() <= _WINDOW:
-        return result
+    if both.sum() <= _LEAST_FRAMES:
+        return result, 0.0
     # Of the steps, as the path has a jump where a group begins.
     fast = _fast(np.nan_to_num(steps))[both, 1:]
     quarters = [np.square(part).mean(0).max() for part in np.array_split(fast[:, 1], 4)]
@@ -53,7 +58,15 @@ def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm
     steady = size > _STEADY * np.sqrt(max(quarters))
     if size > _LEAST_PX * mm_per_px and differs < _DIFFERS * size and steady:
         result[frames] = _fast(np.nan_to_num(steps[:, 0]).cumsum(0))
-    return result
+    return result, float(np.sqrt(np.square(result).mean(0).sum())) / mm_per_px
+
+
+def described(vibration_px: float, counted: str) -> str:
+    """Return the warning of a vibration; `counted` says what contains it."""
+    return (
+        f"the whole image vibrates, by {vibration_px:.2g} px RMS: {counted}. Check what shakes the camera: a fan, a "
+        "motor, a loose mount"
+    )
 
 
 def _fast(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -63,12 +76,12 @@ def _fast(values: NDArray[np.float64]) -> NDArray[np.float64]:
     columns = values.reshape(len(values), -1)
     # Both ends go on by linear prediction, as a smooth series could follow a vibration up to its end.
     columns = _predicted(_predicted(columns)[::-1])[::-1]
-    third = eye(len(columns), format="csc")
-    for _ in range(3):
-        third = third[1:] - third[:-1]
-    weight = (2 - 2 * np.cos(2 * np.pi / _WINDOW)) ** -3
-    smooth = spsolve((eye(len(columns)) + weight * third.T @ third).tocsc(), columns)
-    fast: NDArray[np.float64] = (columns - smooth)[_WINDOW:-_WINDOW]
+    # A series that is mirrored at its ends, less the line between them, is periodic and smooth there.
+    line = columns[0] + np.linspace(0, 1, len(columns))[:, None] * (columns[-1] - columns[0])
+    odd = np.concatenate((columns - line, (line - columns)[-2:0:-1]))
+    turns = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(len(odd)))  # the factor of a second difference
+    share = turns**3 / (turns**3 + (2 - 2 * np.cos(2 * np.pi / _WINDOW)) ** 3)
+    fast = np.fft.irfft(np.fft.rfft(odd, axis=0) * share[:, None], len(odd), axis=0)[_WINDOW : len(columns) - _WINDOW]
     return fast.reshape(values.shape)
 
 
