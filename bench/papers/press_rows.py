@@ -214,8 +214,6 @@ def _no_effects(study: PressStudy) -> Obtained:
 
 def _rate_on_answers(study: PressStudy) -> Obtained:
     found = study.statistics["force_rate"]
-    if found.get("p") is None:
-        return Obtained("", because=f"no effect: {found.get('reason')}")
     low, high = found["interval"]
     return Obtained(
         f"{found['value']:+.3f} ({low:+.3f} to {high:+.3f}) {found['unit']}, {_p(found['p'])}, "
@@ -389,8 +387,6 @@ def _normalisation(study: PressStudy) -> Obtained:
 def _criterion(study: PressStudy) -> Obtained:
     found = study.statistics["observer"]["metrics"]["divergence"]
     one, wrong = found["criterion"], found["false_alarms"]["value"]
-    if one["value"] is None or one["interval"][0] is None:
-        return Obtained("", because=f"no criterion: {one['reason']}")
     low, high = one["interval"]
     truth = 1000 * study.column_of_sample("true_divergence")[study.sample.trials.answer]
     return Obtained(
