@@ -35,7 +35,7 @@ _TABLE = {
     "report": "errors models plot recordings results schema",
     "export": "__init__ engines errors graphs kernels ops schema tensors torch_engine",
     "player": "choice engines errors kernels recordings results schema tracker",
-    "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
+    "study": "__init__ engines errors kernels models pipeline plot recordings report results schema stages synthetic",
     "view": "__init__ calibration engines errors kernels pipeline player recordings results schema stages",
     "__init__": "pipeline recordings results schema",  # only on access to one of their names, see below
 }

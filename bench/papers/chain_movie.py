@@ -3,23 +3,20 @@
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.papers.chain import HIGH, SimulatedPresses
+from bench.papers.drawn import new_frame, picture_of
 from fingerflow.plot.axes_style import INK, RED
 
-_INCHES, _DPI = (10.0, 5.4), 96
 _WIDE_MM = 9.0  # mm, shown half width of the finger
 _LARGEST_MM = 1e-3  # mm, least limit of the colour scale
 
 
 def movie_pictures(presses: SimulatedPresses, step: int) -> Iterator[NDArray[np.uint8]]:
     """Yield one RGB image (H, W, 3) at each `step`-th time of simulated presses: deformed skin and contact loads."""
-    figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = new_frame("constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))
     # At 0.2 nearly all skin sticks already, and the movie would look like that of friction 1.
     pair = min(presses.friction), HIGH
@@ -27,22 +24,22 @@ def movie_pictures(presses: SimulatedPresses, step: int) -> Iterator[NDArray[np.
     chain = presses.chain
     moved = 1e3 * chain.displacement[:, chosen, :, 0].numpy()
     on_plate = chain.normal_force[:, chosen].numpy() > 0
-    largest = max(float(np.abs(moved[on_plate]).max(initial=0)), _LARGEST_MM)
+    largest = float(np.abs(moved[on_plate]).max(initial=_LARGEST_MM))
     highest = 1.1e-3 * float(chain.pressure[:, chosen].max())
     skins, loads = [], []
     for column, friction in enumerate(pair):
         top, bottom = axes[:, column]
-        skin = LineCollection([], cmap="coolwarm", linewidths=4)
+        skin = LineCollection([], cmap="coolwarm", linewidths=3)
         skin.set_clim(-largest, largest)
         top.add_collection(skin)
         top.axhline(0, color=INK, linewidth=1)
         top.set(xlim=(-_WIDE_MM, _WIDE_MM), ylim=(-0.6, 8.5), aspect="equal", title=f"friction {friction:g}")
-        pressure = bottom.plot([], [], color=INK, label="pressure")[0]
-        traction = bottom.plot([], [], color=RED, linestyle="--", label="traction")[0]
+        pressure = bottom.plot([], [], color=INK, label="pressure")
+        traction = bottom.plot([], [], color=RED, linestyle="--", label="traction")
         bottom.set(ylim=(-0.4 * highest, highest), xlabel="along the plate (mm)")
         bottom.grid(alpha=0.25)
         skins.append(skin)
-        loads.append((pressure, traction))
+        loads.append(pressure + traction)
     axes[0, 0].set_ylabel("above the plate (mm)")
     axes[1, 0].set_ylabel("on the skin (kPa)")
     axes[1, 1].legend(frameon=False, loc="upper right")
@@ -56,6 +53,5 @@ def movie_pictures(presses: SimulatedPresses, step: int) -> Iterator[NDArray[np.
             for line, load in zip(loads[column], (chain.pressure, chain.traction), strict=True):
                 line.set_data(place[:, 0], 1e-3 * load[frame, k].numpy())
         heading.set_text(f"{presses.time[frame]:.2f} s, {presses.force[frame]:.2f} N")
-        canvas.draw()  # type: ignore[no-untyped-call]
-        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        yield picture_of(figure)
         figure.set_layout_engine("none")  # the layout is computed only once, as it takes ten times as long as drawing

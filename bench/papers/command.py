@@ -64,8 +64,8 @@ def _about(study: PressStudy) -> str:
     )
     return (
         f"An experiment of {design.participants} participants, {design.trials} pairs of presses each at every one of "
-        f"{len(design.amplitudes)} amplitudes: a skin chain turned about its axis, softer for half of the "
-        f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. All "
+        f"{len(design.amplitudes)} amplitudes: a skin chain turned about its axis, softer for those "
+        f"who press less, with frictions of {high:g} without and {low:g} at the largest vibration. All "
         f"{len(study.measured):,} presses have the true numbers of their chain, and errors as large as those that this "
         f"engine made on {len(study.pictured)} others, rendered as recordings of {study.design.frame_rate:g} frames/s; "
         "pictures and maps are of these. The observer feels the difference of divergence since onset, with "

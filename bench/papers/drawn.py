@@ -4,14 +4,15 @@ import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from fingerflow.plot.axes_style import figure_style
+from fingerflow.plot.axes_style import MM_PER_INCH, TWO_COLUMNS_MM, figure_style
 from fingerflow.plot.figure_files import FigureFiles, settle
 from fingerflow.report.video_writer import encode_video
 from fingerflow.results.atomic_write import write_atomically
@@ -22,7 +23,7 @@ Drawn = tuple[Figure | Iterable[Picture] | None, str]
 
 _DPI, _COLOURS = 150, 256
 _STILLS = 3  # number of frames of a movie shown on the page
-_WIDE = 9.0  # inches, width of such a row of frames
+_WIDE = TWO_COLUMNS_MM / MM_PER_INCH  # inches, width of such a row of frames
 
 
 @dataclass(frozen=True)
@@ -62,18 +63,30 @@ class PrintedFigure(Generic[Source]):
         """
         with figure_style():
             drawn, shown = self.draw(source)
-        if drawn is None:
-            return DrawnFigure(self.name, self.printed, "", shown)
-        path, movie = folder / f"{self.name}.png", ""
-        if not isinstance(drawn, Figure):
-            pictures, movie = list(drawn), f"{self.name}.mp4"
-            repeated = (one for one in pictures for _ in range(self.repeated))
-            write_atomically(folder.parent / "movies" / movie, lambda part: encode_video(repeated, part))
-            drawn = _strip(pictures)
-        else:
-            FigureFiles(("pdf",)).save(drawn, folder, self.name)
-        _save(drawn, path)
+            if drawn is None:
+                return DrawnFigure(self.name, self.printed, "", shown)
+            path, movie = folder / f"{self.name}.png", ""
+            if not isinstance(drawn, Figure):
+                pictures, movie = list(drawn), f"{self.name}.mp4"
+                repeated = (one for one in pictures for _ in range(self.repeated))
+                write_atomically(folder.parent / "movies" / movie, lambda part: encode_video(repeated, part))
+                drawn = _strip(pictures)
+            else:
+                FigureFiles(("pdf",)).save(drawn, folder, self.name)
+            _save(drawn, path)
         return DrawnFigure(self.name, self.printed, path.name, shown, movie)
+
+
+def new_frame(layout: Any = None) -> Figure:
+    """Return an empty frame of a movie, of which three above each other fit a page."""
+    return Figure(figsize=(_WIDE, 0.47 * _WIDE), dpi=_DPI, layout=layout)
+
+
+def picture_of(frame: Figure) -> Picture:
+    """Return a frame of a movie as RGB image (H, W, 3)."""
+    canvas = FigureCanvasAgg(frame)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
 def _strip(pictures: list[Picture]) -> Figure:

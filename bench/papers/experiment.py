@@ -29,7 +29,7 @@ _OF_SKIN = ("gross_contact_area", "divergence", "curl", "strain", "strain_energy
 
 
 def simulate_skins(design: Design) -> Skins:
-    """Simulate presses to the largest force, of both kinds of skin at the friction of every amplitude."""
+    """Simulate presses to the largest force, of skin of each softness at the friction of every amplitude."""
     friction = tuple(design.friction_for(np.array((0.0, *design.amplitudes))))
     skins = {}
     for softness in design.softness:
@@ -47,10 +47,9 @@ class Experiment:
 
     def __init__(self, design: Design, presses: Presses, skins: Skins, analysis: str) -> None:
         self.presses, self._design = presses, design
-        softness = np.take(design.softness, presses.soft.astype(int)).tolist()
         self._skins = [
             (soft, int(np.abs(np.subtract(skins[soft].friction, friction)).argmin()))
-            for soft, friction in zip(softness, presses.friction, strict=True)
+            for soft, friction in zip(presses.softness.tolist(), presses.friction, strict=True)
         ]
         self._curves = {softness: _curves_of(skin, analysis) for softness, skin in skins.items()}
 
@@ -106,7 +105,7 @@ class Experiment:
             REFERENCE: np.where(compared, [f"{k - 1:03d}" for k in trial], ""),
             **dict.fromkeys(NUMBERS, np.nan), **measured, **truth,
             **{f"force_of_{name}": _GRID_N[np.nanargmax(values, axis=1)] for name, values in rates.items()},
-            "true_softness": [softness for softness, _ in self._skins],
+            "true_softness": presses.softness,
         })  # fmt: skip
         return pd.concat((frame, pd.DataFrame(differences(frame))), axis=1)
 

@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from matplotlib.tri import Triangulation
 
 from bench.papers import half_sphere, receptors
 from bench.papers.chain import draw_fastest_point, draw_largest_displacement
 from bench.papers.chain_movie import movie_pictures
 from bench.papers.decomposition import decompose, draw_decomposition
-from bench.papers.drawn import Drawn, Picture, PrintedFigure
+from bench.papers.drawn import Drawn, Picture, PrintedFigure, new_frame, picture_of
 from bench.papers.press_stages import contact_mask, contact_stages, difference_panel, show_contact, skin_stages
 from bench.papers.presses import PressStudy, TypicalPress
 from bench.papers.tribometer import draw_friction, draw_trace
@@ -261,17 +260,18 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
     pair = study.typical
     limits = {name: max(plot.colour_limit(one.result, name, (one.peak,)) for one in pair) for name in _MOVIE_MAPS}
     limits |= dict.fromkeys(_STRAINS, max(limits[name] for name in _STRAINS))
-    figure = Figure(figsize=(14, 6.4), dpi=72, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = new_frame()
     for force in np.linspace(0.5, min(one.largest_force for one in pair), _MOVIE_FORCES):
         figure.clear()
+        figure.subplots_adjust(left=0.08, right=0.95, wspace=0.7, hspace=0.65)
         for row, one, friction in zip(figure.subplots(2, 4), pair, ("high", "low"), strict=True):
             for axes, name in zip(row, _MOVIE_MAPS, strict=True):
                 plot.field_map(one.result, name, one.frame_at(float(force)) or one.peak, axes, limits[name])
-                axes.set_title(f"{axes.get_title()}, {friction} friction", fontsize="small")
+                axes.set(xlabel="", ylabel="")
+                axes.locator_params(nbins=3, integer=True)
+            row[0].set(xlabel="x (mm)", ylabel=f"{friction} friction\ny (mm)")
         figure.suptitle(f"{force:.2f} N")
-        canvas.draw()  # type: ignore[no-untyped-call]
-        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        yield picture_of(figure)
 
 
 def _movie_contact(study: PressStudy) -> Drawn:

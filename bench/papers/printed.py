@@ -6,7 +6,7 @@ one lies outside, and undecided otherwise: a vague result meets any printed inte
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
@@ -71,7 +71,7 @@ class Row(Generic[Source]):
 
     def answer(self, source: Source) -> "Answer":
         """Compute the reproduced counterpart of this printed result from the simulated experiment `source`, and return
-        both with a verdict.
+        both with a verdict; that of a prediction states its ratio to each printed number.
 
         Raises ValueError if the numbers of printed and obtained results do not correspond.
         """
@@ -86,13 +86,16 @@ class Row(Generic[Source]):
                 if len(found.numbers) != len(self.numbers):
                     raise ValueError(f"{self.id}: {len(self.numbers)} printed numbers, {len(found.numbers)} obtained")
                 agrees = (equivalent if self.basis == PREDICTED else meet)(self.numbers, found.numbers)
+                if self.basis == PREDICTED:
+                    ratios = (f"{sum(b) / sum(a):.2g}" for a, b in zip(self.numbers, found.numbers, strict=True))
+                    found = replace(found, text=f"{', '.join(ratios)} × print: {found.text}")
             names = {SETTING: (HOLDS, DIFFERS), PUT_IN: (READ_BACK, DIFFERS), PREDICTED: (RIGHT, WRONG)}[self.basis]
             verdict = UNDECIDED if agrees is None else names[not agrees]
         because = found.because or UNEXPLAINED if verdict in (DIFFERS, WRONG, UNDECIDED, NOT_HAD) else ""
-        printed = self.printed or "not printed"
         return Answer(
-            self.id, self.quantity, printed, self.where, found.text, found.truth, verdict, because, self.basis
-        )
+            self.id, self.quantity, self.printed or "not printed", self.where, found.text, found.truth, verdict,
+            because, self.basis,
+        )  # fmt: skip
 
 
 def meet(printed: tuple[Interval, ...], obtained: tuple[Interval, ...]) -> bool:

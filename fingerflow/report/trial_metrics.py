@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.transforms import offset_copy
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -22,6 +23,7 @@ ANSWERED = "p(more slippery)"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # number of bins with equally many trials
 _LONG_TAIL = 10  # largest value over the median, above which an axis has a scale that is linear up to the median only
+_APART = 6.0  # pt over which dots of one share are drawn in rows, an amplitude a row
 _HATCHES = ("", "////", "....")  # hatches of bars, which distinguish these without colour
 
 #: Metrics that figures and statistics use, columns of the table of trials.
@@ -125,7 +127,8 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     """
     values = _shown(trials, metric)
     if normalised:
-        values = _over_own_median(values, trials.participant)
+        _, own, who = _own_medians(values, trials.participant)
+        values = values / np.where(own > 0, own, np.nan)[who]
     conditions, _ = _conditions(trials)
     medians, _, condition, who = participant_dots(trials, values)
     for index in np.unique(condition):
@@ -163,9 +166,11 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     medians, shares, condition, who = participant_dots(trials, values)
     for index, style in enumerate(line_styles(len(conditions), ordered=True)):
         dots, label = condition == index, conditions[index] if index in named_lines(len(conditions)) else None
-        axes.plot(medians[dots], shares[dots], "o", color=style["color"], label=label)
+        (drawn,) = axes.plot(medians[dots], shares[dots], "o", color=style["color"], label=label, markersize=2.5)
+        row = _APART * (index / len(conditions) - 0.5)
+        drawn.set_transform(offset_copy(axes.transData, axes.get_figure(True), 0, row, "points"))
     correlation = spearman(medians, shares, participants=who)
-    axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.08))
+    axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.1, 1.1))
     middle, far = np.quantile(np.abs(medians), (0.5, 1)) if medians.size else (1, 1)
     if 0 < _LONG_TAIL * middle < far:
         axes.set_xscale("symlog", linthresh=10 ** np.round(np.log10(middle)))  # a decade, so that ticks stay apart
@@ -177,8 +182,8 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes,
         AMPLITUDE,
         "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
-        f"participant and amplitude, darker for smaller ones. {_defined(metric)} Spearman's rank correlation (95 % "
-        "interval): "
+        "participant and amplitude, darker for smaller ones; dots of one share are drawn apart by amplitude. "
+        f"{_defined(metric)} Spearman's rank correlation (95 % interval): "
         f"{format_interval(correlation.value, *correlation.interval)}, {_p(correlation.p)}; n = {size}.",
     )
 
@@ -249,10 +254,7 @@ def participant_dots(trials: Trials, values: Values) -> tuple[Values, Values, ND
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
     """Return the participants' names and the median of a metric for each, in its axis unit; NaN where unknown."""
-    names = np.unique(trials.participant)
-    values = _shown(trials, metric)
-    groups = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
-    return names, np.array([np.median(group) if group.size else np.nan for group in groups])
+    return _own_medians(_shown(trials, metric), trials.participant)[:2]
 
 
 def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
@@ -273,7 +275,7 @@ def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) ->
     names = np.unique(trials.participant)
     for name, style in zip(names, dot_styles(names.size), strict=True):
         trials_of_one = trials.participant == name
-        axes.plot(x[trials_of_one], y[trials_of_one], markersize=2.5, markeredgewidth=0, **style)
+        axes.plot(x[trials_of_one], y[trials_of_one], markersize=2.5, markeredgewidth=0, alpha=0.6, **style)
     return x, y
 
 
@@ -289,14 +291,11 @@ def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], index
 
 
-def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
-    scaled = np.full(values.shape, np.nan)
-    for name in np.unique(participant):
-        theirs = participant == name
-        finite = values[theirs & np.isfinite(values)]
-        if finite.size and np.median(finite) > 0:
-            scaled[theirs] = values[theirs] / np.median(finite)
-    return scaled
+def _own_medians(values: Values, participant: NDArray[Any]) -> tuple[NDArray[Any], Values, NDArray[np.intp]]:
+    """Return the names and medians (P,) of the participants, NaN where unknown, and the index (T,) of each trial's."""
+    names, who = np.unique(participant, return_inverse=True)
+    groups = (values[(who == one) & np.isfinite(values)] for one in range(names.size))
+    return names, np.array([np.median(group) if group.size else np.nan for group in groups]), who
 
 
 def _anova_text(test: Anova) -> str:

@@ -428,8 +428,8 @@ SLIP = (
         Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the half of the "
             f"contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
             equation="d/dt of the area of the half, relative to its skin; halves by the sum of all displacements"),
-        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise of frames² + "
-            "(rate gross_contact_area_std / (2 s contact.gross_radius_px √(A / π)))²)"))),
+        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise² + slope² "
+            "of an error gross_contact_area_std / √2 fading as exp(−(π s / 2 contact.gross_radius_px)²), s: way)"))),
     Variable("incipient_slip", FRAME, "mm",
         "root mean square over the contact of the displacement since the first frame without its best rigid motion",
         equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE),

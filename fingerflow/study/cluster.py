@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.kernel import cores
 
 _IN_FLIGHT = 3  # tasks per worker submitted at a time: one runs, the others are queued
 _RENEWED_AFTER = 200  # tasks per worker after which all workers are replaced, which releases leaked memory
@@ -26,11 +27,6 @@ Result = TypeVar("Result")
 
 class Interrupted(Exception):
     """Interruption of a run by Ctrl-C or by loss of the scheduler; the message states the cause and what to do."""
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_on_workers(

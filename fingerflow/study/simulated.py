@@ -38,7 +38,7 @@ def write_recordings(folder: Path, design: Design) -> None:
         pair, is_comparison = divmod(number, 2)
         of_pair = (f"{trial - 1:03d}", int(answers[pair])) if is_comparison else ("", "")
         names.append(f"p{participant + 1:02d}/{presses.amplitude[number]:g}um/trial{trial:03d}")
-        writer.writerow((f"{participant + 1:02d}", f"{trial:03d}", *of_pair, *_truth(design, presses, number)))
+        writer.writerow((f"{participant + 1:02d}", f"{trial:03d}", *of_pair, *_truth(presses, number)))
     write_atomically(folder / "answers.csv", lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
     write_atomically(folder / "truth.json", lambda part: part.write_text(json.dumps(asdict(design)), encoding="utf-8"))
     for number, name in enumerate(tqdm(names, desc="synthetic presses", unit="press")):
@@ -46,9 +46,7 @@ def write_recordings(folder: Path, design: Design) -> None:
             write_recording(folder / name, make_recording(design, presses, number), progress=False)
 
 
-def _truth(design: Design, presses: Presses, number: int) -> tuple[str, ...]:
-    of_press = (
-        presses.friction, np.asarray(design.softness)[presses.soft.astype(int)], presses.force, presses.divergence,
-        presses.real_contact_area, presses.gross_contact_area, presses.angle, np.hypot(*presses.shift.T),
-    )  # fmt: skip
+def _truth(presses: Presses, number: int) -> tuple[str, ...]:
+    moved, areas = np.hypot(*presses.shift.T), (presses.real_contact_area, presses.gross_contact_area)
+    of_press = presses.friction, presses.softness, presses.force, presses.divergence, *areas, presses.angle, moved
     return tuple(f"{values[number]:.6g}" for values in of_press)

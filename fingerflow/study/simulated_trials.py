@@ -35,15 +35,17 @@ class Design:
     """Settings of a simulated study: numbers of trials, and distributions of the parameters of its presses.
 
     Attributes:
-        participants: the second half of them has softer skin.
+        participants: their mean forces are quantiles.
         trials: pairs of presses of each participant in each condition: F(5,70) and F(6,1593) of B54 and B42 fit 15
             participants, six amplitudes beside the reference, and nine pairs.
         amplitudes: µm of vibration of the comparison, one per condition; the reference has none.
         friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
             angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
             logarithm falls with the square root of the amplitude.
-        softness: of firmer and softer skin, divisors of the stiffnesses of the fitted tissue; the membrane is that of
-            literature. Together with the forces they have the printed spread of apparent areas (B5).
+        softness: levels of the divisor of the stiffnesses of the fitted tissue; the membrane is that of literature. A
+            person has the level next to the mean force of all over their own: all compress their tissue about alike.
+            Their apparent areas then spread by 6 mm², 4.5 printed (B5), while their forces spread by 45 %. Drawn apart
+            from the force, softness of 0.7 and 1.4 spreads them by 11 mm², with presses that store 10 to 25 mJ.
         force: mean of the peak force, N (B34), and standard deviations of its logarithm over participants, over the
             pairs of one, and between the presses of a pair, in force and in time (not printed: force does not predict
             answers, B37, so pairs are alike).
@@ -76,7 +78,7 @@ class Design:
     trials: int = 9
     amplitudes: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
     friction: tuple[float, float] = (0.4, 0.15)
-    softness: tuple[float, float] = (0.7, 1.4)
+    softness: tuple[float, ...] = (0.5, 0.7, 1.0, 1.4, 2.0)
     force: tuple[float, float, float, float] = (5.5, 0.45, 0.25, 0.12)
     force_range: tuple[float, float] = (1.0, 18.0)
     time_to_peak: tuple[float, float] = (1.47, 0.39)
@@ -100,9 +102,17 @@ class Design:
         low, high = self.friction
         return np.asarray(low * (high / low) ** np.sqrt(self._share(amplitude)))
 
-    def is_soft(self) -> NDArray[np.bool_]:
-        """Return the mask (P,) of those of the P participants who have the softer skin."""
-        return np.arange(self.participants) >= self.participants // 2
+    def mean_forces(self) -> Values:
+        """Return the mean peak forces (P,), N, of the participants, in turns of the lower and the upper half."""
+        # Quantiles in place of random numbers: few people are a small sample.
+        ranks = np.concatenate((np.arange(1, self.participants, 2), np.arange(0, self.participants, 2)))
+        mean, spread = self.force[:2]
+        return np.asarray(mean * np.exp(spread * ndtri((ranks + 0.5) / self.participants) - spread**2 / 2))
+
+    def softness_of_people(self) -> Values:
+        """Return the softness (P,) of the skin of the participants."""
+        off = np.abs(np.log(np.outer(self.mean_forces(), self.softness) / self.force[0]))
+        return np.take(self.softness, off.argmin(1))
 
     def _share(self, amplitude: Values) -> Values:
         return np.asarray(np.asarray(amplitude) / max(max(self.amplitudes), 1e-9))
@@ -116,7 +126,7 @@ class Presses:
 
     participant: NDArray[np.int64]
     amplitude: Values  # µm, vibration amplitude
-    soft: NDArray[np.bool_]
+    softness: Values
     friction: Values
     force: Values  # N, peak normal force
     time_to_peak: Values  # s, time to the peak
@@ -147,7 +157,7 @@ def draw_presses(design: Design) -> Presses:
     amplitude = np.tile(per_person, design.participants)
     participant = np.repeat(np.arange(design.participants), per_person.size)
     count = amplitude.size
-    soft = design.is_soft()[participant]
+    softness = design.softness_of_people()[participant]
     force, time = _draw_kinematics(design, draw, participant)
     hold = draw.uniform(*design.hold, count)
     friction = design.friction_for(amplitude)
@@ -155,11 +165,11 @@ def draw_presses(design: Design) -> Presses:
     angle = np.radians(still + (vibrating - still) * design._share(amplitude)) * draw.gamma(4.0, 0.25, count)
     length = np.minimum(_lognormal(draw, *design.displacement, count), 0.5)
     direction = draw.uniform(0, 2 * math.pi, count)
-    divergence, area = _peak_values(design, soft, amplitude, force)
+    divergence, area = _peak_values(design, softness, amplitude, force)
     return Presses(
         participant=participant,
         amplitude=amplitude,
-        soft=soft,
+        softness=softness,
         friction=friction,
         force=force,
         time_to_peak=time,
@@ -195,7 +205,7 @@ def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
     return ChainPress(
         friction=float(press["friction"]),
         parameters=_SKIN,
-        softness=design.softness[int(press["soft"])],
+        softness=float(press["softness"]),
         force=float(press["force"]),
         steady=True,
         path_force=design.force_range[1],
@@ -216,7 +226,7 @@ def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
     )
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def simulate_skin(friction: tuple[float, ...], softness: float, most: float) -> tuple[Values, PressedChain]:
     """Simulate the presses of a design's skin at K coefficients of friction to a force of `most` N, as a steady
     `ChainPress` does with a path to this force; return the normal forces (T,), N, and the states (T, K, ...) of the
@@ -235,16 +245,12 @@ def _draw_kinematics(
     design: Design, draw: np.random.Generator, participant: NDArray[np.int64]
 ) -> tuple[Values, Values]:
     """Sample at random the peak forces (N) and times to peak (s) of presses, two in a pair."""
-    mean, of_person, of_pair, within = design.force
-    deviations = np.array((of_person, of_pair, within / math.sqrt(2)))
-    # Quantiles in place of random numbers, in turns of firmer and softer skin: few people are a small sample.
-    ranks = np.concatenate((np.arange(1, design.participants, 2), np.arange(0, design.participants, 2)))
-    person = ndtri((ranks + 0.5) / design.participants)
-    middle = math.log(mean) - deviations @ deviations / 2 + of_person * person
+    of_pair, of_press = design.force[2:] * np.sqrt((1.0, 0.5))
+    middle = np.log(design.mean_forces()) - (of_pair**2 + of_press**2) / 2
     force, time = np.empty((2, participant.size // 2, 2))
     left = np.arange(len(force))
     while left.size:
-        alike = np.exp(deviations[2] * draw.standard_normal((2, left.size, 2)))
+        alike = np.exp(of_press * draw.standard_normal((2, left.size, 2)))
         shared = middle[participant[::2][left]] + of_pair * draw.standard_normal(left.size)
         force[left] = np.exp(shared)[:, None] * alike[0]
         time[left] = draw.normal(*design.time_to_peak, (left.size, 1)) * alike[1]
@@ -274,17 +280,17 @@ def _draw_real_share(
     return np.asarray(np.clip(share, *_SHARES))
 
 
-def _peak_values(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
+def _peak_values(design: Design, softness: Values, amplitude: Values, force: Values) -> tuple[Values, Values]:
     """Return median divergence over the contact and apparent contact area (mm²) of N presses at their peak force, from
-    skin type (`soft`: the softer), vibration amplitude (µm) and peak force (N), each (N,), by interpolation.
+    softness, vibration amplitude (µm) and peak force (N), each (N,), by interpolation.
     """
     divergence, area = np.empty((2, force.size))
     frictions = design.friction_for(np.unique(amplitude))
-    for softer in (False, True):
-        forces, chain = simulate_skin(tuple(frictions), design.softness[softer], design.force_range[1])
+    for level in np.unique(softness).tolist():
+        forces, chain = simulate_skin(tuple(frictions), level, design.force_range[1])
         skin = since_onset(chain)
         for k, friction in enumerate(frictions):
-            group = (design.friction_for(amplitude) == friction) & (soft == softer)
+            group = (design.friction_for(amplitude) == friction) & (softness == level)
             for values, table in ((divergence, skin.area_median), (area, 1e6 * skin.contact_area)):
                 values[group] = np.interp(force[group], forces, table[:, k].nan_to_num(0.0).numpy())
     return divergence, area

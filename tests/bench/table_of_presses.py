@@ -55,7 +55,7 @@ def table() -> pd.DataFrame:
     for name in ("force", "divergence", "real_contact_area", "gross_contact_area", "displacement"):
         measured = {"force": "max_force", "displacement": "global_displacement"}.get(name, name)
         frame[f"true_{name}"] = frame[measured]
-    frame["true_softness"] = np.asarray(DESIGN.softness)[DESIGN.is_soft().astype(int)[rows["who"]]]
+    frame["true_softness"] = DESIGN.softness_of_people()[rows["who"]]
     return pd.concat((frame, pd.DataFrame(found)), axis=1)
 
 

@@ -55,11 +55,10 @@ def test_a_pulp_that_stiffens_has_the_areas_strains_and_energies_of_the_page() -
     area = np.pi / 4 * (1e3 * chain.contact_length[at, :2].numpy()).T ** 2
     np.testing.assert_allclose(area, [[17, 33, 48, 56, 62, 70], [17, 33, 48, 56, 63, 71]], rtol=0.03)
     strain = strain_percent(presses.printed)[at]
-    expected = [1.7, 2.4, 2.7, 2.7, 2.8, 2.8], [1.7, 2.5, 2.8, 3.1, 3.5, 4.1]
-    np.testing.assert_allclose(strain[:, :2].T, expected, rtol=0.04)
-    assert strain.max() < 7
-    energy = energy_mj(presses.printed)[at, :2].T
-    expected = [0.03, 0.12, 0.21, 0.28, 0.34, 0.42], [0.03, 0.12, 0.23, 0.37, 0.57, 1.0]
+    expected = [1.7, 2.4, 2.7, 2.7, 2.8, 2.8], [1.7, 2.5, 2.8, 3.1, 3.5, 4.1], [1.8, 2.6, 3.5, 4.5, 5.3, 6.5]
+    np.testing.assert_allclose(strain.T, expected, rtol=0.04)
+    energy = energy_mj(presses.printed)[at].T
+    expected = [0.03, 0.12, 0.21, 0.28, 0.34, 0.42], [0.03, 0.12, 0.23, 0.37, 0.57, 1], [0.04, 0.14, 0.45, 1, 1.8, 3.5]
     np.testing.assert_allclose(energy, expected, rtol=0.05, atol=0.005)
     assert 1 / 2 < energy[0, -1] / 0.32 < 2  # print: 0.32 mJ
 

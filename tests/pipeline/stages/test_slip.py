@@ -19,6 +19,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
+from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.slip.dense_flow_slip import DenseFlowSlipStage
 from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid, growth_rates
 from fingerflow.schema.scene import Scene, Views
@@ -34,10 +35,6 @@ def results(slip_trials: Path) -> dict[str, xr.Dataset]:
     return {name: process(load_scene(slip_trials / name / "scene.toml"), wanted) for name in NAMES}
 
 
-def by(scene: Scene, criterion: str) -> Scene:
-    return replace(scene, slip=replace(scene.slip, criterion=criterion))
-
-
 @functools.cache
 def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
     """Return the true stuck ratio d² (F,): the share of the contact that has not slipped or, with a limit, has moved by
@@ -47,12 +44,6 @@ def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
     assert isinstance(trial, PartialSlip)
     frames = range(trial.n_frames)
     return np.array([trial.stuck_share(k) if limit_mm is None else trial.slow_share(k, limit_mm) for k in frames])
-
-
-def known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values, after checking that all are finite."""
-    assert np.isfinite(values).all()
-    return values
 
 
 def warnings_of(result: xr.Dataset) -> list[str]:
@@ -79,13 +70,13 @@ def test_stuck_ratio_of_a_small_contact(
     found, truth = results[name], shares(slip_trials / name)
     assert (truth[:6] == 1).all()
     assert found["stuck_ratio"].values[:6].min() > 0.975
-    error = known(np.abs(found["stuck_ratio"].values - truth))
+    error = np.abs(found["stuck_ratio"].values - truth)
     assert error.max() < most
     assert np.quantile(error, 0.9) < usual
-    deviation = known(found["stuck_ratio_std"].values)
+    deviation = found["stuck_ratio_std"].values
     assert (error < 2.5 * deviation).all()
     assert deviation.max() < 0.05
-    assert known(np.abs(found["printed_stuck_ratio"].values - shares(slip_trials / name, 0.04))).max() < 0.03
+    assert np.abs(found["printed_stuck_ratio"].values - shares(slip_trials / name, 0.04)).max() < 0.03
 
 
 @pytest.mark.parametrize(("name", "criterion"), [("abrupt", "displacement"), ("fading", "relative")])
@@ -93,12 +84,12 @@ def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Pat
     """With the paper's criterion of 40 um d² errs by less than 0.03 in every frame and 0.02 in nine of ten, for
     displacement relative to the glass and to the stick region.
     """
-    scene = by(load_scene(slip_trials / name / "scene.toml"), criterion)
-    result = process(scene, ["stuck_ratio"])
+    scene = load_scene(slip_trials / name / "scene.toml")
+    result = process(replace(scene, slip=replace(scene.slip, criterion=criterion)), ["stuck_ratio"])
     found, truth = result["stuck_ratio"].values, shares(slip_trials / name, 0.04)
     told = truth > (0.15 if criterion == "relative" else -1)  # skin that is loose as a whole sticks relative to itself
     assert told.sum() > 60
-    error = known(np.abs(found - truth)[told])
+    error = np.abs(found - truth)[told]
     assert error.max() < 0.03
     assert np.quantile(error, 0.9) < 0.02
     assert result["stuck_ratio"].attrs["criterion"] == criterion
@@ -114,7 +105,7 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     np.testing.assert_allclose(area, result["stuck_ratio"] * result["gross_contact_area"])
     counted = region.sum(("cell_row", "cell_column")).values * region.attrs["cell_mm"] ** 2
     # Cells at the border of the contact are counted whole.
-    np.testing.assert_allclose(counted, area, rtol=0, atol=0.06 * float(result["gross_contact_area"].max()))
+    np.testing.assert_allclose(counted, area, atol=0.06 * float(result["gross_contact_area"].max()))
     expected = trial.tangential_force(trial.times) / trial.normal_force(trial.times)
     np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
     assert warnings_of(result) == []
@@ -124,11 +115,9 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     truth = shares(slip_trials / name)
     assert abs(found["loss_frame"] - np.flatnonzero(truth > 0.05)[-1] - 1) <= 2
     before = trial.times[found["loss_frame"] - 2 : found["loss_frame"] + 1]
-    expected = trial.tangential_force(before).max() / trial.force
-    assert found["loss_load_ratio"] == pytest.approx(expected, rel=0.005)
+    assert found["loss_load_ratio"] == pytest.approx(trial.tangential_force(before).max() / trial.force, rel=0.005)
     if outcome == "vanishes abruptly":
-        largest = truth[found["corridor_frames"][0]]
-        assert found["corridor_area"] == pytest.approx(largest, abs=0.04)
+        assert found["corridor_area"] == pytest.approx(truth[found["corridor_frames"][0]], abs=0.04)
 
 
 def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
@@ -137,15 +126,14 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
     press = replace(slip, kind="press")
     areas = replace(slip, views=Views({"contact": slip.views.contact}))
     assert plan(["stuck_ratio"], press).names == ("loading", "frame_check", "contact", "tracking", "slip")
-    assert "slip" not in plan(None, press).names
-    assert "slip" in plan(None, slip).names
-    assert "slip" not in plan(None, areas).names
-    with pytest.raises(FingerflowError, match="load_ratio"):
-        plan(["load_ratio"], replace(slip, forces=None))
-    with pytest.raises(FingerflowError, match="topographic view"):
-        plan(["stuck_area"], areas)
-    with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
-        plan(["dense_flow_difference"], slip)
+    assert ["slip" in plan(None, one).names for one in (press, slip, areas)] == [False, True, False]
+    for output, scene, what in (
+        ("load_ratio", replace(slip, forces=None), "load_ratio"),
+        ("stuck_area", areas, "topographic view"),
+        ("dense_flow_difference", slip, "dense_flow_difference' comes by dense flow"),
+    ):
+        with pytest.raises(FingerflowError, match=what):
+            plan([output], scene)
     assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(slip)).names
 
 
@@ -213,15 +201,9 @@ def test_jumps_of_5_px_before_full_slip(displacement: str, tmp_path: Path) -> No
     """
     frames, jumps = 48, (0.495, 0.7)
     folder = small(
-        tmp_path / "trial",
-        n_frames=frames,
-        frame_rate=60.0,
-        frames_before_trigger=2,
-        jumps=jumps,
-        collapse=0.05,
-        force_noise=0.02,
-        force_drift=0.05,
-    )
+        tmp_path / "trial", n_frames=frames, frame_rate=60.0, frames_before_trigger=2, jumps=jumps, collapse=0.05,
+        force_noise=0.02, force_drift=0.05,
+    )  # fmt: skip
     trial, truth = rebuild_scene(folder), shares(folder)
     scene = load_scene(folder / "scene.toml")
     scene = replace(scene, slip=replace(scene.slip, displacement=displacement))
@@ -333,10 +315,15 @@ def test_skin_that_is_laid_and_peeled() -> None:
     assert np.isnan(grid.growth((before, after), points + np.nan, points, skin)).all()
 
 
-def test_a_contact_that_stops_growing_keeps_the_deviation_of_its_growth() -> None:
-    """A deviation stands beside every rate after the growth has ended, whatever its size was before."""
-    growth = np.random.default_rng(5).random((40, 60)) * np.logspace(-3, 3, 40)[:, None] * (np.arange(60) < 20)
-    assert np.isfinite(growth_rates(growth, np.arange(60) / 30)).all()
+def test_deviations_of_growth_follow_the_skin_through_the_border() -> None:
+    """Where skin passes the border by up to 4 mm/s, the rate has the deviation, to 5 %, of errors of the area that
+    correlate over its way.
+    """
+    times, area = np.arange(60) / 60, np.full(60, 25 * np.pi)
+    way = 2 * times**2
+    _, (std,) = growth_rates(10 * np.diff(way, prepend=0.0)[None], times, area, np.ones(60), 0.5)
+    covariance, slopes = np.exp(-((np.pi / 0.5 * (way - way[:, None])) ** 2)) / 2, rate(np.eye(60), times, 0.15)
+    np.testing.assert_allclose(std[12:], np.sqrt(np.diag(slopes @ covariance @ slopes.T))[12:], rtol=0.05)
 
 
 def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:

@@ -20,6 +20,7 @@ _NEAREST = 4  # points whose mean displacement is that of the skin at the border
 _FINE = 4  # positions per cell along each axis: areas are then known to a thousandth of the contact
 
 _GROWTH_S, _JITTER_S = 0.15, 0.5  # s, times over which a rate of area and the noise of areas are measured
+_WAVES, _SHARES = np.polynomial.hermite_e.hermegauss(16)  # quadrature over the normal distribution
 
 
 class SlipGrid:
@@ -120,13 +121,20 @@ class SlipGrid:
         return np.asarray(fine[self._row, self._column])
 
 
-def growth_rates(growth: Array, times: Array) -> tuple[Array, Array]:
-    """Return the rates (H, F), mm²/s, at which parts of the contact gain skin over 0.15 s, and the standard deviations
-    (H, F) that are due to noise of a frame, which the next one takes back, from the misfit within half a second.
+def growth_rates(growth: Array, times: Array, area: Array, area_std: Array, ridge_mm: float) -> tuple[Array, Array]:
+    """Return the rates (2, F), mm²/s, at which the halves of the contact gain skin over 0.15 s, and their standard
+    deviations (2, F).
+
+    Noise of a frame is taken back by the next one; it follows from the misfit within half a second. The border runs
+    along the outermost ridge, so that a half errs by an area which changes with the skin that lies on the border. For
+    ridges of all directions the correlation is exp(-(pi s / ridge_mm)²), s being the way of the skin through the border
+    between two frames: that of waves of normally distributed frequencies, whose slopes make the variance.
 
     Args:
-        growth: (H, F) mm², skin gained since the frame before, NaN where unknown.
+        growth: (2, F) mm², skin gained since the frame before, NaN where unknown.
         times: (F,) s, time of each frame.
+        area, area_std: (F,) mm², of the contact, whose halves err independently.
+        ridge_mm: distance between ridges.
     """
     known, gained = np.isfinite(growth), np.nan_to_num(growth)
     rates = rate(np.where(known, gained.cumsum(1), np.nan).T, times, _GROWTH_S).T
@@ -135,4 +143,8 @@ def growth_rates(growth: Array, times: Array) -> tuple[Array, Array]:
     # no running sums, whose rounding can make a mean of squares negative
     total, count = convolve1d(np.stack((misfit, 1.0 * np.isfinite(rates))), np.ones(frames), mode="nearest")
     jitter = np.where(known, np.sqrt(total / np.maximum(count, 1.0)), np.nan)
-    return rates, rate(jitter.T, times, _GROWTH_S, of_std=True).T
+    way = np.nancumsum(rates * np.gradient(times) / np.sqrt(4 / np.pi * area), axis=1).T
+    phase = math.sqrt(2) * np.pi / ridge_mm * way[..., None] * _WAVES
+    slopes = rate(np.stack((np.cos(phase), np.sin(phase)), -1), times, _GROWTH_S)
+    border = area_std * np.sqrt((slopes**2).sum(-1) @ _SHARES / _SHARES.sum() / 2).T
+    return rates, np.hypot(rate(jitter.T, times, _GROWTH_S, of_std=True).T, border)

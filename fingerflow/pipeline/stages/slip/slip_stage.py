@@ -106,8 +106,8 @@ class SlipStage(Stage):
         super().__init__(trial)
         self._settings = self.inputs.scene.slip
         self._ratio, self._printed, self._coverage, self._direction, self._speed = np.full((5, len(trial)), np.nan)
-        self._incipient = np.full((3, len(trial)), np.nan)
-        self._growth = np.full((2, len(trial)), np.nan)  # mm² a frame, of the leading and the trailing half
+        # Growth is in mm² a frame, of the leading and the trailing half.
+        self._incipient, self._growth = (np.full((count, len(trial)), np.nan) for count in (3, 2))
         self._pull = np.zeros(2)  # mm, sum of all displacements, towards which the skin moves over the glass
         self._deviation = np.full(len(trial), np.nan)  # mm, standard deviation of a component of a displacement
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
@@ -311,12 +311,11 @@ class SlipStage(Stage):
 
     def _area_rates(self) -> NDArray[np.float64]:
         """Return the rates, mm²/s, at which the leading and the trailing half of the contact gain skin, and their
-        standard deviations (4, F): of noise, and of the border, which a valley forms in place of a ridge.
+        standard deviations (4, F).
         """
-        rates, noise = growth_rates(self._growth, self.inputs.times)
-        mm = self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
-        border = np.abs(rates) * self.results["gross_contact_area_std"][:] / (mm * np.sqrt(4 / np.pi * self._area))
-        return np.concatenate((rates, np.hypot(noise, border)))
+        ridge_mm = 2 * self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
+        area_std = self.results["gross_contact_area_std"][:]
+        return np.concatenate(growth_rates(self._growth, self.inputs.times, self._area, area_std, ridge_mm))
 
     def _ratio_std(self) -> NDArray[np.float64]:
         """Return the standard deviation (F,) of d², the stick area over the contact area, due to the error of the stick
@@ -360,17 +359,14 @@ class SlipStage(Stage):
             self.warnings.append(
                 f"displacements of single points have a standard deviation of {1000 * noise:.1f} µm, and skin that has "
                 f"moved by {1000 * self._limit():.1f} µm counts as slipped: where the stuck part ends is not known. "
-                "Record "
-                f'with more light, raise [tracking] window_px, or take [slip] criterion = "displacement" with a '
+                f'Record with more light, raise [tracking] window_px, or take [slip] criterion = "displacement" with a '
                 f"larger stuck_mm"
             )
 
     def _warn_of_unknown(self) -> None:
         if self._border is not None and self._border.reason:
-            self.warnings.append(
-                f"{self._border.reason}: skin that has moved by less than {1000 * FOLLOWED_MM:.0f} µm is taken for "
-                f"stuck"
-            )
+            least = f"{1000 * FOLLOWED_MM:.0f} µm"
+            self.warnings.append(f"{self._border.reason}: skin that has moved by less than {least} is taken for stuck")
         low = np.flatnonzero(self._coverage < LEAST_COVERAGE)
         if len(low):
             first = int(low[0]) + self.inputs.scene.recording.first_frame
