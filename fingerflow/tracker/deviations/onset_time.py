@@ -61,12 +61,13 @@ def onset_errors(
     counts = onset > first
     frames_per_mm = np.zeros(len(onset))
     fitted = (counts & np.isfinite(reference[:, 0] + reference[:, 1])).nonzero()[0]
-    if len(fitted):
-        # The graph of a bundle fits two quantities.
-        times = np.stack((onset[fitted], np.zeros(len(fitted))), axis=-1)[None]
-        touched, gauge = reference[fitted], engine.settings.gauge_length_mm
-        slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
-        frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
+    if not len(fitted):
+        return frames_per_mm, np.zeros((len(onset), 2, 2)), frames_per_mm
+    # The graph of a bundle fits two quantities.
+    times = np.stack((onset[fitted], np.zeros(len(fitted))), axis=-1)[None]
+    touched, gauge = reference[fitted], engine.settings.gauge_length_mm
+    slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
+    frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
     reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
     reach[advected] = _LONGEST
     around = np.clip((onset - reach, onset, onset + reach), 0, last)
