@@ -72,7 +72,7 @@ def test_pages_state_the_table_of_the_demo(result: xr.Dataset) -> None:
             wanted = measured if len(stated) == len(measured) else [max(measured)]
             assert not stated or all(map(agree, stated, wanted)), (name, stated, measured)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    sentence = readme[readme.index("The press of `make demo`") : readme.index("300 frames are processed")]
+    sentence = readme[readme.index("The press of `make demo`") : readme.index("A whole recording takes")]
     press = [rows[f"{name} contact area"] for name in ("real", "gross")]
     measured = [rows["position of a point, last frame"][0], *press[0], *press[1], *rows["median divergence"]]
     stated = numbers(sentence.replace(" of 34", ""))

@@ -33,7 +33,7 @@ from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
-from fingerflow.tracker.vibration import described
+from fingerflow.tracker.vibration import vibration_warning
 
 log = logging.getLogger("fingerflow.player")
 
@@ -202,7 +202,7 @@ class Player:
         """Log once that the whole image vibrates; on a slide, skin in contact and beside it may do so as one."""
         if not self._vibrates and self.scene.kind != "slip" and (size := self._tracker.vibration_px()):
             self._vibrates = True
-            log.warning("%s", described(size, "displacement and strain contain this motion"))
+            log.warning("%s", vibration_warning(size, "displacement and strain contain this motion"))
 
     def stop(self) -> None:
         """End the stream cleanly: frames that have already arrived are still processed."""

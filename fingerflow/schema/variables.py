@@ -40,7 +40,7 @@ _FIELD_STD_EQUATION = (
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
     "computed from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), "
-    "Δ_border the change by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
+    "Δ_border the change by an ellipse 0.035 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
     "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
     "of fields √E points below and above, E points moved in, common² on presses that of 0.9 deviations of a "
     "displacement over the gauge length and of 1 µm/mm (0.3 of strain) by the changing light at the border"
@@ -428,8 +428,9 @@ SLIP = (
         Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the half of the "
             f"contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
             equation="d/dt of the area of the half, relative to its skin; halves by the sum of all displacements"),
-        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise² + slope² "
-            "of an error gross_contact_area_std / √2 fading as exp(−(π s / 2 contact.gross_radius_px)²), s: way)"))),
+        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise² + slope²), "
+            "slope that of an error gross_contact_area_std / √2, whose correlation over a way s of the skin is "
+            "exp(−(π s / (2 contact.gross_radius_px))²)"))),
     Variable("incipient_slip", FRAME, "mm",
         "root mean square over the contact of the displacement since the first frame without its best rigid motion",
         equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE),

@@ -126,8 +126,8 @@ class Deformation:
 
     Attributes:
         bias: number of each evaluated frame, and the variance (5,) of its medians by gauge length and border; NaN where
-            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and until it is known
-            in one, all of a stream and the first eight of frames that come together.
+            the contact is too small for twice the gauge length. Every eighth frame is evaluated. Until it is known
+            in one, a stream evaluates every frame, and a batch its first eight.
         latest: (5,) the latest of these variances that is known.
     """
 

@@ -220,7 +220,7 @@ class Entries:
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
         self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
-        self._touching = np.zeros((self.KEPT, count), dtype=bool)
+        self._covered = np.zeros((self.KEPT, count), dtype=bool)
         self._border = FrameEllipse(*(np.full((self.KEPT, *size), np.nan) for size in ((2,), (2,), ())))
         # Number of frames so far, and of the frame after the first in which the first point touched.
         self._frames = self._begun = 0
@@ -231,8 +231,9 @@ class Entries:
         self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
     def update(
-        self, position: Array, variance: Array, begins: Array, touching: Array, reference: Array, border: FrameEllipse
-    ) -> EnteredPoints | None:
+        self, position: Array, variance: Array, covered: Array, begins: Array, touching: Array, reference: Array,
+        border: FrameEllipse,
+    ) -> EnteredPoints | None:  # fmt: skip
         """Add the next frame, and return the advected points with their displacement gradients in it (1, N, ...), each
         relative to the frame in which the point entered the contact; None if no point in contact has entered.
 
@@ -241,12 +242,13 @@ class Entries:
         Args:
             position: (N, 2) mm, NaN where lost.
             variance: (N,) mm^2, of a component, relative to the frame in which points were seeded.
+            covered: (N,) bool, whether the contact covers each point.
             begins, touching: (N,) bool, whether a touch begins in this frame, and whether there is one.
             reference: (N, 2) mm, where the touch began.
             border: of the apparent contact, of this frame.
         """
         row = self._frames % self.KEPT
-        self._position[row], self._variance[row], self._touching[row] = position, variance, touching
+        self._position[row], self._variance[row], self._covered[row] = position, variance, covered
         for history, new in zip(self._border, border, strict=True):
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching] = -1, False
@@ -255,8 +257,9 @@ class Entries:
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
             self._change[begins], self._variance_of_time[begins] = 0, self._mean_of_time
+            before = self.entered.copy()
             self._mark_advected(begins)
-            self._learn_entries()
+            self._learn_entries(self.entered & ~before)
         self._frames += 1
         here = (self.entered & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
         if not len(here):
@@ -278,10 +281,8 @@ class Entries:
         assert spread is not None
         return _EYE + gradient[0], spread[0]
 
-    def _learn_entries(self) -> None:
-        """Compute the gradients of the advected points at their entry, as far as they are not known yet."""
-        oldest = self._frames + 1 - self.KEPT
-        new = self.entered & np.isnan(self._at_entry[:, 0, 0]) & (self.onset >= max(oldest, 0))
+    def _learn_entries(self, new: Array) -> None:
+        """Compute the gradients at their entry of points that are newly marked as advected, `new` (N,) bool."""
         for onset in set(self.onset[new].tolist()):
             row, position = onset % self.KEPT, self._position[onset % self.KEPT]
             points = (new & (self.onset == onset) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
@@ -292,8 +293,9 @@ class Entries:
 
     def vibration_px(self, mm_per_px: float) -> float:
         """Return the root mean square, px, of the vibration of the whole image in the kept frames; 0 without one."""
-        order = np.arange(max(self._frames - self.KEPT, 0), self._frames) % self.KEPT
-        kept = self._position[order], self._touching[order]
+        frames = self._frames
+        order = np.arange(max(frames - self.KEPT + 8, 0), frames) % self.KEPT  # the oldest are written meanwhile
+        kept = self._position[order], self._covered[order]
         return vibration(*kept, np.arange(len(order)), mm_per_px)[1] if len(order) else 0.0
 
     def learn_errors(self, faint_mm: float) -> None:
@@ -320,7 +322,7 @@ class Entries:
         known = onset, self._reference, self.entered, frames, positions, border
         variance, of_onset, _ = onset_errors(self._engine, *known, faint_mm)
         self.of_onset[recent], self._variance_of_time[recent] = of_onset[recent], variance[recent]
-        self._mean_of_onset, self._mean_of_time = of_onset[recent].mean(0), variance[recent].mean()
+        self._mean_of_onset, self._mean_of_time = of_onset[recent].mean(0), np.median(variance[recent])
 
     @property
     def late(self) -> Array:
@@ -342,4 +344,6 @@ class Entries:
             motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
         later &= np.isfinite(self._seeded[:, 0] + self._seeded[:, 1])
-        self.entered = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)
+        kept = self.onset - EntryGradients.BEFORE > self._frames - self.KEPT  # those of which the entry is known
+        extended = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)
+        self.entered = extended & (self.entered | kept)

@@ -59,7 +59,7 @@ class FrameResults:
         geometry: of the views.
 
     Attributes:
-        entries: of the present points into the contact.
+        entries: entries of the current points into the contact.
     """
 
     def __init__(self, engine: Engine, geometry: Geometry) -> None:
@@ -149,9 +149,8 @@ class FrameResults:
             self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
         touch = self._touches.add_frames(skin.numbers, skin.covered, position, skin.noise, skin.border)
         variance = (skin.noise[0] + skin.curvature[0]) * px2
-        entered = self.entries.update(
-            position[0], variance, touch.begins[0], touch.touching[0], touch.position[0], skin.border
-        )
+        touched = touch.begins[0], touch.touching[0], touch.position[0]
+        entered = self.entries.update(position[0], variance, skin.covered[0], *touched, skin.border)
         self.entries.learn_errors(self._faint_mm)
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position

@@ -52,7 +52,7 @@ def vibration(
     if both.sum() <= _LEAST_FRAMES:
         return result, 0.0
     # Of the steps, as the path has a jump where a group begins.
-    fast = _fast(np.nan_to_num(steps))[both, 1:]
+    fast = _fast(np.nan_to_num(steps[1:]))[both[1:], 1:]  # the first step is not known
     quarters = [np.square(part).mean(0).max() for part in np.array_split(fast[:, 1], 4)]
     size, differs = np.sqrt(min(quarters)), np.sqrt(np.square(fast[:, 1] - fast[:, 0]).mean(0).max())
     steady = size > _STEADY * np.sqrt(max(quarters))
@@ -61,7 +61,7 @@ def vibration(
     return result, float(np.sqrt(np.square(result).mean(0).sum())) / mm_per_px
 
 
-def described(vibration_px: float, counted: str) -> str:
+def vibration_warning(vibration_px: float, counted: str) -> str:
     """Return the warning of a vibration; `counted` says what contains it."""
     return (
         f"the whole image vibrates, by {vibration_px:.2g} px RMS: {counted}. Check what shakes the camera: a fan, a "

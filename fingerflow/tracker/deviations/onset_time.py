@@ -83,7 +83,7 @@ def onset_errors(
     # positions.
     noise = (deviation[::2] ** 2).sum(0) / 2 / both**2
     square = (speed**2).sum(1)
-    speed = speed * np.sqrt(np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1))[:, None]
+    speed = np.nan_to_num(speed * np.sqrt(np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1))[:, None])
     depth = border.select(around.flatten()).inside(position.reshape(-1, 1, 2)).reshape(around.shape)
     # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
     least = np.linalg.norm(speed, axis=1) * np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))

@@ -15,6 +15,7 @@ Array = NDArray[Any]
 # one frame, or a mean of those in two frames, x + s (y - x) with s uniform from 0 to 1, of variance 2/3.
 _OF_FRAMES = np.array([1.0, 0.5, 0.5])
 _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
+_PAIRS = 1 << 20  # pairs of points whose correlations are computed at once, of several centres
 _CENTRES = 64  # number of points around which the gain is computed; others take that of the nearest
 
 
@@ -85,11 +86,14 @@ class OverlapErrors:
         weight = np.square(np.maximum(1 - away / (gauge_px / 2) ** 2, 0))
         most = int((weight > 0).sum(1).max())
         near = np.argpartition(-weight, most - 1, axis=1)[:, :most]  # of the others the weight is 0
-        weight, places = np.take_along_axis(weight, near, 1)[..., None], positions[near]
-        lever = weight * (places - (weight * places).sum(1, keepdims=True) / weight.sum(1, keepdims=True))
-        shared = self.between(valid[near[:, :, None]], valid[near[:, None]])
-        shared[:, np.arange(most), np.arange(most)] = 1
-        alone = np.square(lever).sum((1, 2))
-        gains = np.maximum(((shared @ lever) * lever).sum((1, 2)) / np.maximum(alone, 1e-30), 1)
+        gains, together = np.ones(len(centres)), max(1, _PAIRS // most**2)
+        for part in (slice(first, first + together) for first in range(0, len(centres), together)):
+            some, weights = near[part], np.take_along_axis(weight[part], near[part], 1)[..., None]
+            middle = (weights * positions[some]).sum(1, keepdims=True) / weights.sum(1, keepdims=True)
+            lever = weights * (positions[some] - middle)
+            shared = self.between(valid[some[:, :, None]], valid[some[:, None]])
+            shared[:, np.arange(most), np.arange(most)] = 1
+            alone = np.maximum(np.square(lever).sum((1, 2)), 1e-30)
+            gains[part] = np.maximum(((shared @ lever) * lever).sum((1, 2)) / alone, 1)
         result[valid] = gains[away.argmin(0)]
         return result

@@ -30,7 +30,7 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
-from fingerflow.tracker.vibration import described, vibration
+from fingerflow.tracker.vibration import vibration, vibration_warning
 
 Points = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ class DeformationStage(Stage):
             self._shaken, shaken_px = vibration(position, in_contact, usable, self.mm_per_px)
             if shaken_px:
                 counted = "displacement and strain are those without this motion, positions those with it"
-                self.warnings.append(described(shaken_px, counted))
+                self.warnings.append(vibration_warning(shaken_px, counted))
         if self.reference_of.frame is not None:
             then = self.reference_of.frame
             noise = self.results["position_noise_px"][then : then + 1][0]

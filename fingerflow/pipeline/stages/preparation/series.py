@@ -16,8 +16,10 @@ def rate(
     step = float(np.median(np.diff(times))) if len(times) > 1 else np.nan
     length = max(3, 2 * round(window_s / step / 2) + 1) if np.isfinite(step) else 3
     flat, power = values.reshape(len(values), -1), 1 + of_std
-    weights = _slope_weights(length // 2) ** power
     result = np.full(flat.shape, np.nan)
+    if length > len(flat):
+        return result.reshape(values.shape)
+    weights = _slope_weights(length // 2) ** power
     for column in range(flat.shape[1]):
         finite = np.isfinite(flat[:, column])
         edges = np.flatnonzero(np.diff(np.concatenate(([0], finite.astype(np.int8), [0]))))

@@ -140,10 +140,10 @@ def growth_rates(growth: Array, times: Array, area: Array, area_std: Array, ridg
     rates = rate(np.where(known, gained.cumsum(1), np.nan).T, times, _GROWTH_S).T
     misfit = np.nan_to_num(gained - rates * np.gradient(times)) ** 2 / 2
     frames = 1 + round(_JITTER_S * len(times) / max(float(np.ptp(times)), 1e-9))
-    # no running sums, whose rounding can make a mean of squares negative
+    # Do not use running sums: their rounding can make a mean of squares negative.
     total, count = convolve1d(np.stack((misfit, 1.0 * np.isfinite(rates))), np.ones(frames), mode="nearest")
     jitter = np.where(known, np.sqrt(total / np.maximum(count, 1.0)), np.nan)
-    way = np.nancumsum(rates * np.gradient(times) / np.sqrt(4 / np.pi * area), axis=1).T
+    way = np.nancumsum(rates * np.gradient(times) / np.sqrt(4 / np.pi * np.where(area > 0, area, np.nan)), axis=1).T
     phase = math.sqrt(2) * np.pi / ridge_mm * way[..., None] * _WAVES
     slopes = rate(np.stack((np.cos(phase), np.sin(phase)), -1), times, _GROWTH_S)
     border = area_std * np.sqrt((slopes**2).sum(-1) @ _SHARES / _SHARES.sum() / 2).T
