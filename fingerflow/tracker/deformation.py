@@ -187,10 +187,12 @@ class Deformation:
         # The latest evaluated frame counts, 0 being the one before these. What smoothing takes grows as fields do,
         # which grow fourfold at most until the next.
         square = np.square(fields.divergence) + np.square(fields.curl)
-        size = np.nansum(square, 1, dtype=np.float64) / np.isfinite(square).sum(1).clip(1) + 1e-30
+        valid = np.isfinite(square)
+        size = np.add.reduce(np.where(valid, square, 0), 1, float) / np.maximum(np.add.reduce(valid, 1), 1) + 1e-30
         sizes, latest = np.concatenate((self._square, size[rows])), evaluated.cumsum()
         self._square = sizes[-1:]
-        of_fields = smoothing[latest] * np.clip(size / sizes[latest], 1, 16)[:, None, None] + since.late
+        growth = np.minimum(np.maximum(size / sizes[latest], 1), 16)
+        of_fields = smoothing[latest] * growth[:, None, None] + since.late
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints
-from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.kernels.arrays import inverse_2x2, nanmedian
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
@@ -322,7 +322,7 @@ class Entries:
         known = onset, self._reference, self.entered, frames, positions, border
         variance, of_onset, _ = onset_errors(self._engine, *known, faint_mm)
         self.of_onset[recent], self._variance_of_time[recent] = of_onset[recent], variance[recent]
-        self._mean_of_onset, self._mean_of_time = of_onset[recent].mean(0), np.median(variance[recent])
+        self._mean_of_onset, self._mean_of_time = of_onset[recent].mean(0), nanmedian(variance[recent][None])[0]
 
     @property
     def late(self) -> Array:

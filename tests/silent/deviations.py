@@ -44,7 +44,8 @@ _FRAMES = 7  # of a scene, that are compared
 _STEPS_MM = 0.07, 0.15
 _LEAST_MM2 = 10.0  # contact from which medians and energies are compared
 _STRAINS = ("exx", "eyy", "exy")
-_AT_POINTS = "position_px", "position_std_px", "entered", "divergence", "divergence_std", "curl", "curl_std"
+_FIELDS = "divergence", "curl", "point_strain"
+_AT_POINTS = "position_px", "position_std_px", "entered", *_FIELDS, *(f"{name}_std" for name in _FIELDS)
 
 
 def cases() -> Iterator[Case]:
@@ -253,7 +254,8 @@ def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
             found["position"].append((now["position_px"] - true, now["position_std_px"][:, None].repeat(2, 1)))
             since = [of(material[some], frame) for of in (truth.gradient, truth.entry_gradient)]
             gradient = np.where(now["entered"][:, None, None], since[1], since[0])
-            for name, field in fields_of(gradient).items():
+            strain = green_lagrange(torch.from_numpy(gradient)).numpy()
+            for name, field in (fields_of(gradient) | {"point_strain": strain}).items():
                 found[name].append((now[name] - field, now[f"{name}_std"]))
         for name, one in _of_contact(result, scene, frame).items():
             found[name].append(one)

@@ -68,28 +68,29 @@ def onset_errors(
     touched, gauge = reference[fitted], engine.settings.gauge_length_mm
     slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
     frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
-    reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
+    reach = np.minimum(np.maximum(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2), _LONGEST).astype(int)
     reach[advected] = _LONGEST
-    around = np.clip((onset - reach, onset, onset + reach), 0, last)
+    around = np.minimum(np.maximum((onset - reach, onset, onset + reach), 0), last)
     position, deviation = positions(around)
     unknown = ~np.isfinite(position[..., 0] + position[..., 1])
     if np.logical_or.reduce(unknown, None):
         around = np.where(unknown, np.maximum(onset, 0), around)
         position, deviation = positions(around)
-    steps = np.diff(around, axis=0)
+    steps = around[1:] - around[:-1]
     both = np.maximum(steps.sum(0), 1)
     speed = np.nan_to_num((position[2] - position[0]) / both[:, None])
     # The square of a measured speed is too large by the variance of the speed, which follows from those of both
     # positions.
     noise = (deviation[::2] ** 2).sum(0) / 2 / both**2
     square = (speed**2).sum(1)
-    speed = np.nan_to_num(speed * np.sqrt(np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1))[:, None])
+    share = np.minimum(np.maximum(1 - 2 * noise / np.maximum(square, 1e-30), 0), 1)
+    speed = np.where(np.isfinite(share), np.sqrt(share), 0.0)[:, None] * speed
     depth = border.select(around.flatten()).inside(position.reshape(-1, 1, 2)).reshape(around.shape)
     # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
     least = np.linalg.norm(speed, axis=1) * np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
     along = np.maximum(np.fmax((depth[2] - depth[0]) / both, least), 1e-9)
     # Not more than a deviation of the difference of two depths slower than measured.
-    sides = np.diff(depth, axis=0) + np.sqrt(2) * ELLIPSE_MM
+    sides = depth[1:] - depth[:-1] + np.sqrt(2) * ELLIPSE_MM
     slower = np.fmin(*np.where(steps > 0, sides / np.maximum(steps, 1), np.inf))
     approach = np.where(advected, along, np.maximum(slower, BORDER_MM / reach))
     slowest = np.fmax(frames_per_mm, 1 / approach)
