@@ -2,11 +2,14 @@
 that grows.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.kernels.result_records import FrameEllipse
-from fingerflow.tracker.entry import advected
+from fingerflow.tracker.entry import Entries, advected
 
 Row = tuple[float, ...]
 
@@ -51,3 +54,25 @@ def test_points_slide_into_contact_where_skin_moves_faster_than_the_border(
     assert not found[onset <= 0].any()
     assert (onset > 0).sum() > 5
     assert (found[onset > 0] == expected).all()
+
+
+def test_a_point_lost_at_its_onset_leaves_the_errors_of_others_known(
+    make_engine: Callable[[EngineSettings], Engine],
+) -> None:
+    """Skin is dragged while a contact grows; a point is lost while the border passes it."""
+    axis = np.arange(0, 6, 0.4)
+    grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    away, lost = np.hypot(*(grid - 3).T), 7 * len(axis) + 10
+    entries, reference = Entries(make_engine(EngineSettings()), grid), np.full(grid.shape, np.nan)
+    touching = np.zeros(len(grid), dtype=bool)
+    for frame in range(30):
+        covered, position = away < 0.5 + 0.1 * frame, grid + 0.005 * frame
+        position[lost] += np.nan if 3 <= frame < 24 else 0
+        begins, touching = covered & ~touching, touching | covered
+        reference[begins] = position[begins]
+        border = FrameEllipse(np.full((1, 2), 3.0), np.full((1, 2), 0.5 + 0.1 * frame), np.zeros(1))
+        variance = np.where(np.isfinite(position[:, 0]), 1e-6, np.nan)
+        entries.update(position, variance, covered, begins, touching, reference, border)
+        entries.learn_errors(0.0)
+    assert touching[lost]
+    assert np.isfinite(entries.of_onset).all()
