@@ -85,6 +85,7 @@ def new_frame(layout: Any = None) -> Figure:
 def picture_of(frame: Figure) -> Picture:
     """Return a frame of a movie as RGB image (H, W, 3)."""
     canvas = FigureCanvasAgg(frame)
+    # matplotlib does not state the types of these two methods.
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 

@@ -29,7 +29,7 @@ _OF_SKIN = ("gross_contact_area", "divergence", "curl", "strain", "strain_energy
 
 
 def simulate_skins(design: Design) -> Skins:
-    """Simulate presses to the largest force, of skin of each softness at the friction of every amplitude."""
+    """Simulate a press to the largest force for each softness of the skin and the friction of each amplitude."""
     friction = tuple(design.friction_for(np.array((0.0, *design.amplitudes))))
     skins = {}
     for softness in design.softness:

@@ -37,7 +37,9 @@ class Calibration:
 
     @property
     def mm_per_px_std(self) -> float:
-        """Return the standard deviation of the scale, by the edge of the hole; `hole_radius_mm` counts as exact."""
+        """Return the standard deviation, mm per px, of the scale by the error of the fitted radius of the hole in px;
+        `hole_radius_mm` counts as exact.
+        """
         return self.mm_per_px * self.hole.radius_sigma_px / self.hole.radius_px
 
     def to_toml(self) -> str:

@@ -199,7 +199,9 @@ class Player:
             log.info("%s", few)
 
     def _warn_of_vibration(self) -> None:
-        """Log once that the whole image vibrates; on a slide, skin in contact and beside it may do so as one."""
+        """Log once that the whole image vibrates. Slides are left out: skin in contact and skin beside it may tremble
+        together there.
+        """
         if not self._vibrates and self.scene.kind != "slip" and (size := self._tracker.vibration_px()):
             self._vibrates = True
             log.warning("%s", vibration_warning(size, "displacement and strain contain this motion"))

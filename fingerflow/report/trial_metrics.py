@@ -292,7 +292,9 @@ def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
 
 
 def _own_medians(values: Values, participant: NDArray[Any]) -> tuple[NDArray[Any], Values, NDArray[np.intp]]:
-    """Return the names and medians (P,) of the participants, NaN where unknown, and the index (T,) of each trial's."""
+    """Return the names (P,) of the participants, the median (P,) of each over their trials, NaN where unknown, and the
+    participant (T,) of each trial as an index into both.
+    """
     names, who = np.unique(participant, return_inverse=True)
     groups = (values[(who == one) & np.isfinite(values)] for one in range(names.size))
     return names, np.array([np.median(group) if group.size else np.nan for group in groups]), who

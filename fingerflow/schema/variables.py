@@ -104,8 +104,8 @@ def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -
 
 
 def _ellipse_std(lengths: Any, *areas: Any) -> Any:
-    """Return the standard deviation, mm, of lengths of the ellipse: the same on contacts of 1 to 60 mm^2, but for
-    semi-axes, with `areas` as arguments of `sparse_border_mm`.
+    """Return the standard deviation, mm, of the ellipse's centre or, given the `areas` that `sparse_border_mm` takes,
+    of its semi-axes. On contacts of 1 to 60 mm^2 it does not depend on their size.
     """
     return 0 * lengths + (0.028**2 + (sparse_border_mm(*areas) ** 2 if areas else 0)) ** 0.5
 

@@ -164,8 +164,8 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
 
 
 def _check_order(files: list[Path]) -> tuple[str, ...]:
-    """Return a warning if `files`, in the order of their names, were written in another order, as where a counter
-    starts again or a date counts days first.
+    """Return a warning if the modification times of `files`, sorted by name, do not increase, as where a counter of the
+    names starts again or a date in them begins with the day.
 
     Copies and parallel writers change the times too: times in the order of characters, most of them in disorder, or
     only neighbours exchanged, give no warning.

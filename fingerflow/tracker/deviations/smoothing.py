@@ -83,11 +83,11 @@ class _Neighbours(NamedTuple):
         x, y = positions.T.astype(np.float32)
         distance = np.square(x[:, None] - x)
         distance += np.square(y[:, None] - y)
-        np.fill_diagonal(distance, np.where(np.isnan(x), np.inf, 0))
-        near = distance < np.float32(gauge_mm / 2) ** 2  # False for NaN
+        reach = np.float32(gauge_mm / 2) ** 2
+        near = distance < reach  # False for NaN
         np.fill_diagonal(near, True)
         point, number = near.nonzero()
-        weight = np.square(np.maximum(1 - distance[point, number] / np.float32(gauge_mm / 2) ** 2, 0))
+        weight = np.square(np.fmax(1 - distance[point, number] / reach, 0))  # 0 for NaN
         return cls(number, weight, np.searchsorted(point, np.arange(len(x))))
 
     def sums(self, *values: Array) -> NDArray[np.float64]:

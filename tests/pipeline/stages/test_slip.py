@@ -316,8 +316,8 @@ def test_skin_that_is_laid_and_peeled() -> None:
 
 
 def test_deviations_of_growth_follow_the_skin_through_the_border() -> None:
-    """Where skin passes the border by up to 4 mm/s, the rate has the deviation, to 5 %, of errors of the area that
-    correlate over its way.
+    """Skin passes the border at up to 4 mm/s: the stated deviation of the rate is that of area errors which correlate
+    along the skin's way, to 5 %.
     """
     times, area = np.arange(60) / 60, np.full(60, 25 * np.pi)
     way = 2 * times**2

@@ -37,7 +37,8 @@ def _slope_weights(half: int) -> NDArray[np.float64]:
 
 
 def _filtered(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weighted sums of the L samples around each of n values, and at the ends of the first or last L.
+    """Return the sums (n,) of n values over a moving window of L samples, each with a row of the weights (L, L): the
+    middle row for whole windows, the others for the values near both ends.
 
     With the weights of slopes it is `scipy.signal.savgol_filter(values, L, 2, deriv=1)`, whose import takes half a
     second.

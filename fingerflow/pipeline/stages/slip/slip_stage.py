@@ -243,11 +243,13 @@ class SlipStage(Stage):
         self.results.put("stuck_ratio", self._ratio, limit | power | judged)
         self.results.put("printed_stuck_ratio", self._printed, {"stuck_mm": settings.stuck_mm})
         self.results.put("slip_annulus_area", (1 - self._ratio) * self._area, limit)
-        motion = ("stuck_ratio_std", "slip_coverage", "slip_direction", "slip_speed")
+        self.results.put("stuck_ratio_std", deviation)
+        self.results.put("slip_coverage", self._coverage)
+        self.results.put("slip_direction", self._direction)
+        self.results.put("slip_speed", self._speed)
         rigid = ("incipient_slip", "incipient_slip_irrotational", "incipient_slip_solenoidal")
         halves = ("leading_area_rate", "trailing_area_rate", "leading_area_rate_std", "trailing_area_rate_std")
-        of_motion = (deviation, self._coverage, self._direction, self._speed, *self._incipient, *self._area_rates())
-        for name, values in zip((*motion, *rigid, *halves), of_motion, strict=True):
+        for name, values in zip((*rigid, *halves), (*self._incipient, *self._area_rates()), strict=True):
             self.results.put(name, values)
 
     def _limit(self) -> float:
