@@ -52,12 +52,12 @@ class RecordLayout:
             self.fields.append(_entry(variable, dtype_code, tuple(sizes[dim] for dim in variable.dims[1:])))
         self.dtype = np.dtype([(entry["name"], entry["dtype"], entry["shape"]) for entry in self.fields])
 
-    def fill(self, records: Mapping[str, Array], index: int, results: Mapping[str, Any]) -> None:
-        """Store the results of a frame, by variable name, at index `index` of the arrays that `records` holds for each
-        field.
+    def fill(self, records: Mapping[str, Array], index: int, results: Mapping[str, Array], frame: int) -> None:
+        """Store the results of the frame with index `frame` in `results`, arrays by variable name, at index `index` of
+        the arrays that `records` holds for each field.
         """
         for name in RESULTS:
-            records[name][index] = results[name]
+            records[name][index] = results[name][frame]
 
     def fill_unknown(self, records: Mapping[str, Array], index: int) -> None:
         """Store a record of unknown values, for a frame without results, at index `index` of the arrays that `records`

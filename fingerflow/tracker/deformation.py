@@ -60,10 +60,11 @@ class Displacement(NamedTuple):
         displacement: (n, N, 2) mm; NaN where it is not known.
         variance, curvature: (n, N) mm^2, of a component, by image noise, and by displacement that is curved within
             windows.
-        onset: (N, 2, 2) mm^2, covariance by the error of the time of onset.
+        onset: (n, N, 2, 2) or (N, 2, 2) mm^2, covariance by the error of the time of onset.
         gain: (N,) factor by which overlapping windows raise the variance of gradients (`OverlapErrors.variance_gain`).
         entered: points that were advected into the contact, with gradients since their entry; None if there are none.
-        late: (2, N) variance of divergence and curl of these points by the error of the time of entry, 0 for others.
+        late: (n, 2, N) or (2, N), variance of divergence and curl of these points by the error of the time of entry, 0
+            for others.
         unseen: (n, N) mm^2, variance of a component by touches that may have begun before they were seen.
         passing: (n, N) bool, touches that do not last: beside skin that has been dragged along, they are no strain.
     """
@@ -106,6 +107,7 @@ class DeformedFrames(NamedTuple):
         fields: with the standard deviations of divergence and curl at points by all terms, and of medians by errors of
             points alone.
         variance: (n, 5) of the medians of fields by all terms but `Deformation.bias`.
+        bias: (n, 5) the latest of these that was known in each frame.
     """
 
     since: Displacement
@@ -115,6 +117,7 @@ class DeformedFrames(NamedTuple):
     vector_std: Array
     fields: FrameFields
     variance: Array
+    bias: Array
 
 
 class Deformation:
@@ -141,17 +144,17 @@ class Deformation:
     def step(self, skin: SkinFrames, onsets: Onsets) -> DeformedFrames:
         """Compute the results of n frames from the points tracked in them and what is known of their onsets."""
         since = onsets.since(skin)
-        onset = (since.onset[:, 0, 0] + since.onset[:, 1, 1]) / 2
+        onset = (since.onset[..., 0, 0] + since.onset[..., 1, 1]) / 2
         square = since.variance + since.curvature + onset + since.unseen
         reach = self._engine.settings.gauge_length_mm / 2
         vector, vector_std = displacement_medians(skin.position, since.displacement, square, skin.border, reach)
         lasting = since.lasting()
-        fields, variance = self._fields(skin.numbers, lasting, skin.border)
-        return DeformedFrames(since, lasting, square, vector, vector_std, fields, variance)
+        fields, variance, bias = self._fields(skin.numbers, lasting, skin.border)
+        return DeformedFrames(since, lasting, square, vector, vector_std, fields, variance, bias)
 
-    def _fields(self, frames: Array, since: Displacement, ellipse: FrameEllipse) -> tuple[FrameFields, Array]:
-        """Compute divergence, curl and strain in the frames with the numbers `frames` (n,), and the variances (n, 5) of
-        the medians of these fields over the contact.
+    def _fields(self, frames: Array, since: Displacement, ellipse: FrameEllipse) -> tuple[FrameFields, Array, Array]:
+        """Compute divergence, curl and strain in the frames with the numbers `frames` (n,), the variances (n, 5) of the
+        medians of these fields over the contact, and `DeformedFrames.bias`.
         """
         moved, reference = since.displacement.astype(np.float32), since.reference.astype(np.float32)
         noise = since.variance + since.curvature
@@ -164,7 +167,7 @@ class Deformation:
         known = np.isfinite(fields.median[:, 0])
         evaluated = known & ((frames % EVERY == 0) | ((known.cumsum() <= EVERY) & np.isnan(self.latest[0])))
         rows = evaluated.nonzero()[0]
-        smoothing = self._of_smoothing
+        smoothing, course = self._of_smoothing, [self.latest]
         if len(rows):
             part = fields._replace(
                 **{name: values[rows] for name, values in fields._asdict().items() if values is not None}
@@ -172,13 +175,16 @@ class Deformation:
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
             bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
-            if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
-                gauge = self._engine.settings.gauge_length_mm
-                of_noise = nanmedian(noise[rows])[:, None]
-                bias += np.square(_COMMON / gauge) * of_noise + np.square(_AT_BORDER)
+            of_onset, counts = since.onset[..., 0, 0], np.isfinite(moved[rows, :, 0])
+            counted = (np.broadcast_to(of_onset, noise.shape)[rows] > 0) & counts
+            gauge, of_noise = self._engine.settings.gauge_length_mm, nanmedian(noise[rows])[:, None]
+            common = np.square(_COMMON / gauge) * of_noise + np.square(_AT_BORDER)
+            # Where most points in contact have displacements since their onset.
+            bias += np.where(counted.sum(1, keepdims=True) > counts.sum(1, keepdims=True) / 2, common, 0)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
-                self.latest = np.where(np.isfinite(values), values, self.latest)
+                course.append(np.where(np.isfinite(values), values, course[-1]))
+            self.latest = course[-1]
             plain = reference
             if excluded is not None:
                 plain = np.where(excluded.among.any(0)[:, None], np.float32(np.nan), reference)
@@ -198,4 +204,6 @@ class Deformation:
         divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])
         curl_std = np.sqrt(fields.curl_std**2 + of_fields[:, 1])
         assert fields.median_std is not None
-        return FrameFields(*fields[:4], divergence_std, curl_std, *fields[6:]), fields.median_std**2 + ranks
+        variance = np.square(fields.median_std) + ranks
+        fields = fields._replace(divergence_std=divergence_std, curl_std=curl_std)
+        return fields, variance, np.array(course)[latest]

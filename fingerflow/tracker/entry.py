@@ -136,6 +136,16 @@ def variance_of_late(late: Array) -> Array:
     return result
 
 
+def together(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
+    """Return the entered points of n frames, given those of each, None where no point has entered."""
+    known = [frame for frame in frames if frame is not None]
+    if not known:
+        return None
+    among, gradient, covariance = known[0]
+    nothing = EnteredPoints(*map(np.zeros_like, (among, gradient, covariance)))
+    return EnteredPoints(*map(np.concatenate, zip(*(frame or nothing for frame in frames), strict=True)))
+
+
 class EntryGradients:
     """Computation, frame by frame, of the displacement gradients of advected points, each relative to its state when it
     entered the contact.

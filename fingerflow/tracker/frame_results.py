@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import Engine, FrameContact, TrackedPoints
+from fingerflow.engines.engine import Engine, EnteredPoints, FrameContact, TrackedPoints
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import sparse_border_mm
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
@@ -17,12 +17,13 @@ from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.medians import strain_deviations
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
-from fingerflow.tracker.entry import Entries, variance_of_late
-from fingerflow.tracker.onset import Touches, interpolate_displacement
-from fingerflow.tracker.sizes_on_glass import SizesOnGlass
+from fingerflow.tracker.entry import Entries, together, variance_of_late
+from fingerflow.tracker.onset import LASTING, Touches, interpolate_displacement
+from fingerflow.tracker.sizes_on_glass import Sizes, SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
+Record = TypeVar("Record", FrameContact, TrackedPoints)
 
 #: Names of the results of a frame, which are variables of the data set.
 RESULTS = (
@@ -71,6 +72,8 @@ class FrameResults:
         self.entries = Entries(engine, np.zeros((0, 2)))
         self._frames = 0
         self._gross = self._faint_mm = 0.0  # of the largest contact so far
+        self._sizes: Sizes  # of the contact in the present frames
+        self._entered = np.zeros((0, 0), dtype=bool)  # which points have entered, in each of them
         self._touches = Touches(0)
 
     @property
@@ -78,46 +81,64 @@ class FrameResults:
         """Return the slip flag after the last usable frame: whether skin in contact slips."""
         return self._slip.slipping
 
-    def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints) -> dict[str, Any]:
-        """Compute the results of the next frame, by the names in `RESULTS`, from its contact, its tracked points
-        `points` and the seeding to which these points belong.
+    def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints) -> dict[str, Array]:
+        """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
+        their tracked points `points` and the seeding to which these points belong.
+
+        They do not depend on how many frames are computed at once.
         """
         covered = covers(contact.density_margin, points.estimate, self._to_contact, self._engine.cell_px)
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
-        self._frames += 1
+        if (first := self._batch(covered)) < len(covered):
+            parts = [
+                self.compute(seeding, _select(contact, frames), _select(points, frames))
+                for frames in (slice(first), slice(first, None))
+            ]
+            return {name: np.concatenate([part[name] for part in parts]) for name in RESULTS}
+        numbers = self._frames + 1 + np.arange(len(covered))
         variance = points.variance  # by image noise
         curvature, sizes = self._curvature.update(points.points), self._on_glass.sizes(contact)
-        if sizes.gross[0] > self._gross:
-            self._gross, self._faint_mm = float(sizes.gross[0]), sparse_border_mm(sizes.real, sizes.gross)
-        residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])
+        noise_px, self._sizes = np.sqrt(variance), sizes
+        residual, slipping = np.empty(len(covered)), np.empty(len(covered), dtype=bool)
+        for k in range(len(covered)):
+            residual[k] = self._slip.update(points.points[k], noise_px[k], covered[k])
+            slipping[k] = self._slip.slipping
         position = self._geometry.on_glass(points.points)
-        skin = SkinFrames(np.array([self._frames]), covered, position, variance, curvature, sizes.ellipse)
+        skin = SkinFrames(numbers, covered, position, variance, curvature, sizes.ellipse)
         now = self._deformation.step(skin, self)
-        fields, median = now.fields, now.fields.median[0]
-        median_std = np.sqrt(now.variance[0] + self._deformation.latest)
+        fields, median, median_std = now.fields, now.fields.median, np.sqrt(now.variance + now.bias)
         length, length_std = displacement_length(now.vector, now.vector_std)
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         return {
-            **{"real_contact_area": sizes.real[0], "gross_contact_area": sizes.gross[0]},
-            **{"ellipse_center": sizes.ellipse.center[0], "ellipse_semi_axes": sizes.ellipse.semi_axes[0]},
-            **{"ellipse_angle": sizes.ellipse.angle[0], "illumination_gain": contact.illumination_gain[0]},
-            **{"position_px": points.points[0], "forward_backward_error": points.error[0]},
-            **{"position_std_px": np.sqrt(variance + curvature)[0], "status": points.status[0]},
-            "in_contact": covered[0],
-            **{"point_strain": fields.strain[0], "entered": self.entries.entered.copy()},
-            "point_strain_std": strain_deviations(fields.divergence_std[0], fields.curl_std[0]),
-            **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
-            **{"curl": fields.curl[0], "curl_std": fields.curl_std[0]},
-            **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
-            **{"median_curl": median[1], "median_curl_std": median_std[1]},
-            **{"median_strain": median[2:], "median_strain_std": median_std[2:]},
-            **{"global_displacement_vector": now.vector[0], "global_displacement_vector_std": now.vector_std[0]},
-            **{"global_displacement": length[0], "global_displacement_std": length_std[0]},
-            "slip_residual": residual * self._per_px,
-            "slip_flag": self._slip.slipping,
+            **{"real_contact_area": sizes.real, "gross_contact_area": sizes.gross},
+            **{"ellipse_center": sizes.ellipse.center, "ellipse_semi_axes": sizes.ellipse.semi_axes},
+            **{"ellipse_angle": sizes.ellipse.angle, "illumination_gain": contact.illumination_gain},
+            **{"position_px": points.points, "forward_backward_error": points.error},
+            **{"position_std_px": np.sqrt(variance + curvature), "status": points.status, "in_contact": covered},
+            **{"point_strain": fields.strain, "entered": self._entered},
+            "point_strain_std": strain_deviations(fields.divergence_std, fields.curl_std),
+            **{"divergence": fields.divergence, "divergence_std": fields.divergence_std},
+            **{"curl": fields.curl, "curl_std": fields.curl_std},
+            **{"median_divergence": median[:, 0], "median_divergence_std": median_std[:, 0]},
+            **{"median_curl": median[:, 1], "median_curl_std": median_std[:, 1]},
+            **{"median_strain": median[:, 2:], "median_strain_std": median_std[:, 2:]},
+            **{"global_displacement_vector": now.vector, "global_displacement_vector_std": now.vector_std},
+            **{"global_displacement": length, "global_displacement_std": length_std},
+            **{"slip_residual": residual * self._per_px, "slip_flag": slipping},
         }
+
+    def _batch(self, covered: Array) -> int:
+        """Return how many of the next frames can be computed at once, given which points the contact covers in each,
+        `covered` (n, N): those before a touch ends, as the point may touch again elsewhere, and one while it is unknown
+        from where points count, or how medians err by the gauge length.
+        """
+        if len(covered) == 1 or np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
+            return 1
+        ends = (covered[:-1] > covered[1:]) & (self._touches.length < LASTING)
+        frames = np.logical_or.reduce(ends, 1)
+        return 1 + int(frames.argmax()) if frames.any() else len(covered)
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding, count = seeding, len(seeding.points)
@@ -141,20 +162,35 @@ class FrameResults:
         self._gain = errors.variance_gain(gauge_mm / self._per_px)
 
     def since(self, skin: SkinFrames) -> Displacement:
-        """Return the displacement in the next frame since the onset of contact of each point (`Onsets`)."""
-        position, px2 = skin.position, np.float32(self._per_px**2)
+        """Return the displacement in the next n frames since the onset of contact of each point (`Onsets`)."""
+        position, px2, entries, sizes = skin.position, np.float32(self._per_px**2), self.entries, self._sizes
+        self._frames += len(position)
         left = np.isnan(self._inherited) & (skin.covered[0] == 0)
         if np.logical_or.reduce(left):
             self._inherited[left] = 0
             self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
         touch = self._touches.add_frames(skin.numbers, skin.covered, position, skin.noise, skin.border)
-        variance = (skin.noise[0] + skin.curvature[0]) * px2
-        touched = touch.begins[0], touch.touching[0], touch.position[0]
-        entered = self.entries.update(position[0], variance, skin.covered[0], *touched, skin.border)
-        self.entries.learn_errors(self._faint_mm)
+        variance = (skin.noise + skin.curvature) * px2
+        self._entered = np.empty(skin.covered.shape, dtype=bool)
+        onset, late = np.empty((*variance.shape, 2, 2)), np.empty((len(variance), 2, variance.shape[1]))
+        entered: list[EnteredPoints | None] = []
+        for k in range(len(position)):
+            if sizes.gross[k] > self._gross:
+                self._gross = float(sizes.gross[k])
+                self._faint_mm = sparse_border_mm(sizes.real[k : k + 1], sizes.gross[k : k + 1])
+            touched = touch.begins[k], touch.touching[k], touch.position[k]
+            border = skin.border.select(slice(k, k + 1))
+            entered.append(entries.update(position[k], variance[k], skin.covered[k], *touched, border))
+            entries.learn_errors(self._faint_mm)
+            self._entered[k], onset[k], late[k] = entries.entered, entries.of_onset, variance_of_late(entries.late)
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position
-        moved[0, np.isnan(self._inherited)] = np.nan
-        entries, reference, curvature = self.entries, touch.position[0], skin.curvature * px2
-        late = variance_of_late(entries.late)
-        return Displacement(reference, moved, noise, curvature, entries.of_onset, self._gain, entered, late)
+        moved[:, np.isnan(self._inherited)] = np.nan
+        # A touch that ends begins no other in these frames (`_batch`).
+        reference, curvature = np.fmax.reduce(touch.position), skin.curvature * px2
+        return Displacement(reference, moved, noise, curvature, onset, self._gain, together(entered), late)
+
+
+def _select(record: Record, frames: slice) -> Record:
+    """Return the record of arrays (n, ...) for some of its frames."""
+    return type(record)(*(None if values is None else values[frames] for values in record))

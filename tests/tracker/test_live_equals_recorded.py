@@ -11,10 +11,10 @@ import xarray as xr
 import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
-from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.kernels.result_records import FrameContact, FrameEllipse, TrackedPoints
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
-from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.frame_tracker import PAGE
+from fingerflow.tracker.frame_results import RESULTS, FrameResults, Seeding
+from fingerflow.tracker.frame_tracker import PAGE, joined
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
 from fingerflow.tracker.reseeding import ReseedingSchedule
@@ -122,6 +122,41 @@ def test_points_seeded_in_contact_take_over_the_displacement(
     recorded = 1000 * fingerflow.process(played["press"].scene)["median_divergence"].values[frames]
     assert recorded[0] > 20  # um/mm, by which a count that starts at the seeding would be off
     assert (np.abs(median - recorded) < 2 * stated).mean() > 0.95
+
+
+@pytest.mark.parametrize("kind", ["press", "slide"])
+def test_results_do_not_depend_on_the_number_of_frames_at_once(
+    played: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """Frames that wait are measured at once; their results are those of single frames, to rounding of float32."""
+    seen: list[tuple[FrameResults, Seeding, FrameContact, TrackedPoints]] = []
+    compute = FrameResults.compute
+
+    def keep(results: FrameResults, *frame: Any) -> dict[str, Array]:
+        seen.append((results, *frame))
+        return compute(results, *frame)
+
+    monkeypatch.setattr(FrameResults, "compute", keep)
+    monkeypatch.setattr("fingerflow.player.stream_player._AT_ONCE", 1)
+    played[kind].play()
+    monkeypatch.undo()
+    results, seeding, *_ = max(seen, key=lambda frame: sum(frame[1] is other[1] for other in seen))
+    frames = [list(frame[2:]) for frame in seen if frame[1] is seeding]
+    for frame in frames[::3]:  # touches end, and others begin
+        frame[0] = frame[0]._replace(density_margin=frame[0].density_margin - 0.2)
+
+    def computed(at_once: int) -> dict[str, Array]:
+        again = FrameResults(results._engine, results._geometry)
+        parts = [zip(*frames[first : first + at_once], strict=True) for first in range(0, len(frames), at_once)]
+        values = [again.compute(seeding, joined(contact), joined(points)) for contact, points in parts]
+        return {name: np.concatenate([part[name] for part in values]) for name in RESULTS}
+
+    single = computed(1)
+    assert np.isfinite(single["median_divergence_std"]).sum() > 20
+    for at_once in (2, 4, 7):
+        several = computed(at_once)
+        for name in RESULTS:
+            np.testing.assert_allclose(several[name], single[name], rtol=2e-5, atol=1e-7, err_msg=f"{name} {at_once}")
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:
