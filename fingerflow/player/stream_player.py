@@ -41,6 +41,7 @@ _STALL_WARNING = 2.0  # s without a frame after which a warning is logged
 _HANGING = 2.0  # s for which a stopped stream waits for its source before it abandons the source
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _WATCH_INTERVAL = 0.2  # s between two checks by the main thread
+_VIBRATION_INTERVAL = 5.0  # s between two searches for a vibration, for which frames wait 30 ms
 _STORE_INTERVAL = 0.02  # s between two wake-ups of the storing thread
 _COUNTS = ("frames_in", "processed", "dropped", "overruns", "reconnects", "stalls")  # of the summary
 _SENTENCES = {  # log messages by the names of the tracker's events
@@ -282,7 +283,8 @@ class Player:
     # Main thread: write the log and monitor the source.
 
     def _watch(self) -> None:
-        logged, processed, stalled = time.perf_counter(), 0, False
+        logged = checked = time.perf_counter()
+        processed, stalled = 0, False
         while not self._finished.wait(_WATCH_INTERVAL) and not self._stop.is_set():
             now = time.perf_counter()
             since = self._waiting_since
@@ -305,6 +307,8 @@ class Player:
                 self.rate = (self.processed - processed) / (now - logged)
                 logged, processed = now, self.processed
                 log.info("%s", self._line(self.recent))
+            if now - checked >= _VIBRATION_INTERVAL:
+                checked = now
                 self._warn_of_vibration()
             self._behind = self._falls_behind(now)
 

@@ -14,6 +14,9 @@ from fingerflow.schema.scene import Scene, scene_from
 
 # Number of different sections of the noise, and step between those of two consecutive frames; both are primes.
 _NOISES, _NOISE_STEP = 4099, 1009
+# Width of the rim over which ridges begin to touch. With a sharp border a whole ridge touches in one frame, which no
+# press does: the frame then waits for those behind it, as if the image had jumped.
+_RIM_PX = 12
 
 
 def side_by_side(height: int, width: int) -> Scene:
@@ -98,15 +101,12 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
     """Return the true contact areas in mm² and ellipse semi-axes in mm, by name, at a progress 0 to 1 of the press in
     views of (height, width) px.
 
-    The border of the visible contact, which has lost half of its light, is that of an ellipse whose shorter semi-axis
-    is half a pixel less.
+    The border of the visible contact, which has lost half of the light that contact can take, is that of the ellipse.
 
     Args:
         touching_px: number of pixels that have lost more than half of the light that contact can take.
     """
-    semi_axes = _semi_axes(progress, shape)
-    seen = (1 - 0.5 / min(semi_axes)) * mm_per_px
-    minor, major = sorted(seen * semi_axis for semi_axis in semi_axes)
+    minor, major = sorted(mm_per_px * semi_axis for semi_axis in _semi_axes(progress, shape))
     areas = {"real_contact_area": touching_px * mm_per_px**2, "gross_contact_area": math.pi * major * minor}
     return areas | {"ellipse_major": major, "ellipse_minor": minor}
 
@@ -138,5 +138,6 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
     ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))
     pores = np.cos(0.31 * u + 0.17 * v) * np.cos(0.13 * u - 0.37 * v) + np.cos(0.21 * u - 0.11 * v + 1) / 2
     semi_x, semi_y = _semi_axes(progress, shape)
-    inside = np.clip((1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y), 0, 1)
+    depth = (1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y)
+    inside = np.clip(depth / _RIM_PX + 0.5, 0, 1)
     return 0.55 * ridges + 0.3 * pores, np.clip(0.5 + 4 * (ridges + 0.2), 0, 1) * inside
