@@ -126,6 +126,15 @@ def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
     return result
 
 
+def squared_distances(points: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:
+    """Return the squared distances (N, M) of points (N, 2) from other points (M, 2).
+
+    Sums over an axis of two take NumPy five times as long.
+    """
+    x, y = (points[:, k, None] - others[:, k] for k in range(2))
+    return x * x + y * y
+
+
 def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the medians (F, ...) over N points of values (F, N, ...), ignoring NaN; NaN where no value is finite."""
     if values.shape[1] == 0:

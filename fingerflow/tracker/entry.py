@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints
-from fingerflow.kernels.arrays import inverse_2x2, nanmedian
+from fingerflow.kernels.arrays import inverse_2x2, nanmedian, squared_distances
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
@@ -119,7 +119,7 @@ def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_m
     candidates = among.nonzero()[0]
     if len(candidates) <= _VOTERS or not np.logical_or.reduce(entered):
         return entered
-    away = np.sum((positions[candidates, None] - positions[None, candidates]) ** 2, axis=-1)
+    away = squared_distances(positions[candidates], positions[candidates])
     np.fill_diagonal(away, np.inf)
     near = np.argpartition(away, _VOTERS - 1, axis=1)[:, :_VOTERS]
     within = np.take_along_axis(away, near, axis=1) < reach_mm**2

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.arrays import squared_distances
 from fingerflow.kernels.result_records import FrameEllipse
 
 Array = NDArray[Any]
@@ -147,7 +148,7 @@ def interpolate_displacement(before: Array, moved: Array, points: Array, fewest:
     displacement, variance = np.full(points.shape, np.nan), np.full(len(points), np.nan)
     known, new = np.isfinite(before + moved).all(-1), np.isfinite(points).all(-1)
     if known.sum() >= max(fewest, _NEAREST):
-        distance = np.square(points[new, None] - before[None, known]).sum(-1)
+        distance = squared_distances(points[new], before[known])
         nearest = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
         weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
         values, total = moved[known][nearest], weight.sum(1)

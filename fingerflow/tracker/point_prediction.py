@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.arrays import squared_distances
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
 
 Array = NDArray[Any]
@@ -50,7 +51,7 @@ class PointMotion(NamedTuple):
         motion = PointMotion.at_rest(points)
         seen, new = (self.missing == 0).nonzero()[0], motion.valid.nonzero()[0]
         if len(seen) >= _AROUND:
-            distance = np.square(points[new, None] - self.position[None, seen]).sum(-1)
+            distance = squared_distances(points[new], self.position[seen])
             nearest = seen[np.argpartition(distance, _AROUND - 1, axis=1)[:, :_AROUND]]
             motion.speed[new] = np.median(self.speed[nearest], axis=1)
         return motion

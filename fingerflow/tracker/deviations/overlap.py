@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.arrays import squared_distances
+
 Array = NDArray[Any]
 
 # Correlation of displacements whose references are 0, 1, and 2 or more frames apart. The reference is the position in
@@ -79,7 +81,7 @@ class OverlapErrors:
         valid = np.flatnonzero(np.isfinite(self.positions_px).all(-1))
         positions = self.positions_px[valid]
         centres = positions[:: max(1, len(valid) // _CENTRES)]
-        away = np.square(centres[:, None] - positions).sum(-1)
+        away = squared_distances(centres, positions)
         result = np.ones(len(self.positions_px), np.float32)
         if not len(valid):
             return result
