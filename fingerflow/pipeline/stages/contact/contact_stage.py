@@ -36,8 +36,6 @@ class ContactStage(Stage):
     The stage stores measured quantities, no images.
 
     Attributes:
-        series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
-            NaN in unusable frames.
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
@@ -68,11 +66,6 @@ class ContactStage(Stage):
         self.cell_px = self._engine.cell_px
         self._on_glass = SizesOnGlass(self.inputs.geometry, self.cell_px)
         frames = len(trial)
-        self.series = {
-            variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
-            for variable in CONTACT
-            if variable.name != "gross_contact_region" and variable.formula is None
-        }
         self._gain = np.full(frames, np.nan)  # illumination gain
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
         self.faint_rim_mm = self._pale_rim_mm = 0.0
@@ -80,7 +73,6 @@ class ContactStage(Stage):
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
     def begin(self) -> None:
-        self._usable = self.trial.stage(FrameCheckStage).usable
         reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
         glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
         self._black = np.float32(0) if black is None else black
@@ -89,12 +81,12 @@ class ContactStage(Stage):
         light, level = self._glass_light
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
-        first = int(np.argmax(self._usable))
+        first = int(np.argmax(self.usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
         at_first = self._changed(first)
         faults = plausibility.check_exposure(*at_first, first + first_frame)
         self.warnings.extend(faults or plausibility.check_background(at_first[0], first + first_frame))
-        self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
+        self.reference_frame = self._most_contact(self.known("normal_force"))
         changed = self._changed(self.reference_frame)
         faults = faults or plausibility.check_contrast(*changed, appears, self.largest_load())
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
@@ -126,7 +118,7 @@ class ContactStage(Stage):
             self.series[name][indices] = values
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
-            self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
+            self.results["gross_contact_region"][indices] = region & self.usable[indices, None, None]
         self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
@@ -138,8 +130,8 @@ class ContactStage(Stage):
         if self._several_parts:
             self.series["real_contact_area"] -= self._outside
         for values in (*self.series.values(), self._gain):
-            values[~self._usable] = np.nan
-        self._blind &= self._usable
+            values[~self.usable] = np.nan
+        self._blind &= self.usable
         gains = self._gain[np.isfinite(self._gain)]
         if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + first_frame
@@ -152,7 +144,7 @@ class ContactStage(Stage):
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
         self.warnings.extend(plausibility.check_areas(real, gross, area, radius, first_frame))
-        normal = self.trial.stage(LoadingStage).normal
+        normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
             self.warnings.extend(plausibility.check_missing_frames(gross, normal, first_frame))
         self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, first_frame))
@@ -160,16 +152,11 @@ class ContactStage(Stage):
             self.warnings.extend(plausibility.check_pressure(normal, gross))
             self.warnings.extend(plausibility.check_onset(normal, gross, first_frame))
             self.warnings.extend(plausibility.check_growth(normal, gross))
-        for name, values in self.series.items():
-            about: dict[str, float] = {}
-            if name == "gross_contact_area":
-                about["ridge_period_mm"] = self._period_px * self.inputs.mm_per_px
-                about |= {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
-            self.results.put(name, values, about)
+        faint = {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
+        self.about["gross_contact_area"] = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} | faint
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
-        self.series = {name: earlier[name].values for name in self.series if name in earlier}
         self.faint_rim_mm = float(earlier["gross_contact_area"].attrs.get("faint_rim_mm", 0.0))
 
     def derive(self) -> None:
@@ -202,7 +189,7 @@ class ContactStage(Stage):
         The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
         other. That contact has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self._largest, self._region_in(int(np.argmax(self._usable)))
+        largest, first = self._largest, self._region_in(int(np.argmax(self.usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def touched(self, frames: int = _LOOKS) -> NDArray[np.bool_]:
@@ -211,7 +198,7 @@ class ContactStage(Stage):
         return torch.stack(regions).any(0)[0, 0].cpu().numpy()
 
     def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
-        usable = np.flatnonzero(self._usable)
+        usable = np.flatnonzero(self.usable)
         looks = np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int)
         return usable[np.unique(looks)]
 
@@ -222,7 +209,7 @@ class ContactStage(Stage):
         A contact that slides has left the first region by then. The margin gives points on both sides of the contact
         border.
         """
-        beyond = ~(self._region_in(int(np.argmax(self._usable))) | self._largest)
+        beyond = ~(self._region_in(int(np.argmax(self.usable))) | self._largest)
         pixels = beyond[0, 0].cpu().numpy().astype(np.uint8)
         away = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         return torch.from_numpy(away <= margin_px)[None, None].to(beyond.device)
@@ -248,7 +235,7 @@ class ContactStage(Stage):
                 self.warnings.extend(shadow or self._check_rim(frame, contact))
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
-        usable = np.flatnonzero(self._usable)
+        usable = np.flatnonzero(self.usable)
         first_frame = self.inputs.scene.recording.first_frame
         pictures = (
             (frame + first_frame, self._counts(frame)[0] - self._black)
@@ -288,7 +275,7 @@ class ContactStage(Stage):
             index = indices[k]
             count = int(outside.sum())
             self._outside[index] = count * pixel_mm2[k]
-            if self._usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
+            if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.inputs.scene.recording.first_frame
                 several = view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)
                 self._several_parts = bool(several)
@@ -327,10 +314,10 @@ class ContactStage(Stage):
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
         if normal_force is not None:
-            force = np.where(self._usable, normal_force, np.nan)
+            force = np.where(self.usable, normal_force, np.nan)
             if np.isfinite(force).any():
                 return int(np.nanargmax(force))
-        usable, looks = np.flatnonzero(self._usable), self._sampled_frames()
+        usable, looks = np.flatnonzero(self.usable), self._sampled_frames()
         shares = [self._brightness(self._counts(int(i))) for i in looks]
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
@@ -379,8 +366,8 @@ class ContactStage(Stage):
         return threshold
 
     def _has_forces(self) -> bool:
-        normal = self.trial.stage(LoadingStage).normal
-        return normal is not None and bool(np.isfinite(np.where(self._usable, normal, np.nan)).any())
+        normal = self.known("normal_force")
+        return normal is not None and bool(np.isfinite(np.where(self.usable, normal, np.nan)).any())
 
     def largest_load(self) -> str:
         """Return in words which frame is expected to have most contact: by the normal force or, where it is unknown, by

@@ -101,23 +101,19 @@ class DeformationStage(Stage):
         super().__init__(trial)
         self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
-        self._vector, self._vector_std = np.full((2, len(trial), 2), np.nan)
-        self._printed = np.full(len(trial), np.nan)
         self._fixed: _Fixed | None = None  # positions in the reference frame; None if displacement counts from onsets
         self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
         self._median, self._variance = np.full((2, len(trial), 5), np.nan)
-        self._residual, self._known = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
-        self._usable = self.trial.stage(FrameCheckStage).usable
         inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
         status = self.results["frame_status"][:]
         self.reference_of = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
         self._attributes = self.reference_of.attributes(first_frame)
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
-        usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
+        usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
         common, self.seeded = common_frame(self.results["position"], self.results["status"], first, backward)
         self._later = self.seeded != first
@@ -135,7 +131,7 @@ class DeformationStage(Stage):
             self._fixed = _Fixed(
                 self.steady_position(np.array([then]))[0], self.results["position_px"][then : then + 1][0], noise
             )
-        border = FrameEllipse.from_series(self.trial.stage(ContactStage).series)
+        border = FrameEllipse(*(self.results[f"ellipse_{part}"][:] for part in FrameEllipse._fields))
         self.border = self._onset_border = border._replace(center=border.center - self._shaken)
         self._dilated = inputs.scene.fields.reference == "dilated_onset"
         if self._dilated:
@@ -155,7 +151,7 @@ class DeformationStage(Stage):
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
             if pressed:
-                gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+                gross = self.results["gross_contact_area"][:]
                 self.warnings.extend(plausibility.check_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
@@ -191,7 +187,7 @@ class DeformationStage(Stage):
             self.results.create(name, self._gauge)
         if "rigid_residual" in self.trial.requested:
             self.results.create("rigid_residual")
-        minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
+        minor = self.border.semi_axes[:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
         self.warnings.extend(plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest))
         # Neighbours by where points were seeded: positions of entry lie on a line.
@@ -214,10 +210,12 @@ class DeformationStage(Stage):
         now = self._deformation.step(self._skin(frames), self)
         self.results["displacement"][frames] = now.since.displacement
         self.results["displacement_std"][frames] = np.sqrt(now.square)  # root mean square error of a component
-        self._vector[frames], self._vector_std[frames] = now.vector, now.vector_std
-        if "printed_global_displacement" in self.trial.requested:
+        self.series["global_displacement_vector"][frames] = now.vector
+        self.series["global_displacement_vector_std"][frames] = now.vector_std
+        if "printed_global_displacement" in self.series:
             # Component by component (the lab's script takes the x median twice).
-            self._printed[frames] = np.linalg.norm(nanmedian(now.since.displacement), axis=1)
+            median = nanmedian(now.since.displacement)
+            self.series["printed_global_displacement"][frames] = np.linalg.norm(median, axis=1)
         for name in self._stated:
             self.results[name][frames] = getattr(now.fields, name)
         reference, moved = (self.inputs.tensor(values) for values in (self.reference[None], now.lasting.displacement))
@@ -227,9 +225,10 @@ class DeformationStage(Stage):
         across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
         # Three points, moved rigidly, leave hardly a residual.
         enough = (np.isfinite(across).sum(1) > 3) & (now.fields.known_share >= LEAST_SHARE)
-        self._residual[frames] = np.where(enough, nanmedian(np.sqrt(across * across + down * down)), np.nan)
-        self._known[frames], self._median[frames] = now.fields.known_share, now.fields.median
-        self._variance[frames] = now.variance
+        median = nanmedian(np.sqrt(across * across + down * down))
+        self.series["rigid_residual_median"][frames] = np.where(enough, median, np.nan)
+        self.series["field_coverage"][frames] = now.fields.known_share
+        self._median[frames], self._variance[frames] = now.fields.median, now.variance
         return now.lasting
 
     def since(self, skin: SkinFrames) -> Displacement:
@@ -263,31 +262,26 @@ class DeformationStage(Stage):
         return EnteredPoints(among, gradient, covariance)
 
     def finish(self) -> None:
-        length, length_std = displacement_length(self._vector, self._vector_std)
-        self.results.put("global_displacement_vector", self._vector, self._attributes)
-        self.results.put("global_displacement_vector_std", self._vector_std)
-        self.results.put("global_displacement", length, self._attributes)
-        self.results.put("global_displacement_std", length_std)
-        if "printed_global_displacement" in self.trial.requested:
-            self.results.put("printed_global_displacement", self._printed, self._attributes)
-        self.results.put("rigid_residual_median", self._residual)
-        self.results.put("field_coverage", self._known)
+        vector, vector_std = (self.series[f"global_displacement_vector{of}"] for of in ("", "_std"))
+        length, length_std = displacement_length(vector, vector_std)
+        self.series |= {"global_displacement": length, "global_displacement_std": length_std}
+        for name in ("global_displacement_vector", "global_displacement", "printed_global_displacement"):
+            self.about[name] = self._attributes
         median_std = np.sqrt(self._variance + self._bias())
         times, window = self.inputs.times, self._settings.rate_window_s
-        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
-        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        self.results.put("median_divergence", self._median[:, 0], self._gauge)
-        self.results.put("median_divergence_std", median_std[:, 0])
-        self.results.put("median_curl", self._median[:, 1], self._gauge)
-        self.results.put("median_curl_std", median_std[:, 1])
-        self.results.put("median_strain", self._median[:, 2:], self._gauge | {"measure": self._settings.strain})
-        self.results.put("median_strain_std", median_std[:, 2:])
         rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
-        self.results.put("median_divergence_rate", rates[:, 0])
-        self.results.put("median_divergence_rate_std", rates_std[:, 0])
-        self.results.put("median_strain_rate", rates[:, 2:])
-        self.results.put("median_strain_rate_std", rates_std[:, 2:])
+        for columns, names in (
+            (0, ("median_divergence", "median_divergence_std", "median_divergence_rate", "median_divergence_rate_std")),
+            (1, ("median_curl", "median_curl_std")),
+            (slice(2, None), ("median_strain", "median_strain_std", "median_strain_rate", "median_strain_rate_std")),
+        ):
+            self.about[names[0]] = self._gauge
+            for name, values in zip(names, (self._median, median_std, rates, rates_std), strict=False):
+                self.series[name] = values[:, columns]
+        self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
+        gross, known = self.results["gross_contact_area"][:], self.series["field_coverage"]
+        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.check_fields(self._median[:, 0], known, gross, gauge, first_frame))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated
@@ -363,7 +357,7 @@ class DeformationStage(Stage):
         border = self._onset_border.select(indices)
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
-        usable = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
+        usable = np.flatnonzero(self.usable[indices])  # an unusable frame does not end a touch
         if len(usable) == len(indices):
             touching = touch.add_frames(indices, covered, position, variance, border)
         else:

@@ -80,7 +80,7 @@ class TrackingStage(Stage):
         self._full = False  # True if no more points may be seeded
         self._skipped: list[int] = []  # unusable frames before the first seeding
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
-        self._share, self._error, self._differs, self._held = np.full((4, len(trial)), np.nan)
+        self._held = np.full(len(trial), np.nan)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
@@ -93,7 +93,6 @@ class TrackingStage(Stage):
     def begin(self) -> None:
         """Find the contact region in which points are to be seeded, and warn if no contact is found."""
         contact = self.trial.stage(ContactStage)
-        self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
         window = self._settings.window_px
         region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
@@ -119,11 +118,11 @@ class TrackingStage(Stage):
             return
         margin = batch.result(ContactStage).density_margin
         images = batch.images(self.inputs, self._view)
-        numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self._usable[batch.indices])) + 1
+        numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self.usable[batch.indices])) + 1
         # New skin is searched, and windows are compared, where templates are checked.
         for run in np.split(numbers, np.union1d(changes, numbers[MOST_FRAMES::MOST_FRAMES])):
             indices = batch.indices[run]
-            if self._usable[indices[0]]:
+            if self.usable[indices[0]]:
                 self._step_through(images[run[0] : run[-1] + 1], indices, margin[run[0] : run[-1] + 1])
             else:
                 self._skip_frames(indices)
@@ -179,19 +178,16 @@ class TrackingStage(Stage):
             corrections = self._corrections(len(images))
             self.results[_CORRECTION][indices] = np.where(np.isfinite(pixels), corrections, np.nan)
         tracked = status[:, :before] == TrackStatus.TRACKED
-        self._share[indices] = tracked.mean(1)
-        self._differs[indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
+        self.series["tracked_share"][indices] = tracked.mean(1)
+        self.series["window_differs_share"][indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
         self._held[indices] = (status[:, :before] == TrackStatus.DUST_IN_WINDOW).mean(1)
-        self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
+        self.series["forward_backward_median"][indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_tracking(self._share, first_frame))
-        self.warnings.extend(plausibility.check_windows(self._differs, first_frame))
+        self.warnings.extend(plausibility.check_tracking(self.series["tracked_share"], first_frame))
+        self.warnings.extend(plausibility.check_windows(self.series["window_differs_share"], first_frame))
         self.warnings.extend(plausibility.check_dust(self._held, first_frame))
-        self.results.put("tracked_share", self._share)
-        self.results.put("window_differs_share", self._differs)
-        self.results.put("forward_backward_median", self._error)
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
