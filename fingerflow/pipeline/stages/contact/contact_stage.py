@@ -1,5 +1,6 @@
 """Contact in every frame: real and apparent (gross) area, fitted ellipse, and region of the apparent contact."""
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import cv2
@@ -84,11 +85,11 @@ class ContactStage(Stage):
         first = int(np.argmax(self.usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
         at_first = self._changed(first)
-        faults = plausibility.check_exposure(*at_first, first + first_frame)
+        faults = [*plausibility.check_exposure(*at_first, first + first_frame)]
         self.warnings.extend(faults or plausibility.check_background(at_first[0], first + first_frame))
         self.reference_frame = self._most_contact(self.known("normal_force"))
         changed = self._changed(self.reference_frame)
-        faults = faults or plausibility.check_contrast(*changed, appears, self.largest_load())
+        faults = faults or [*plausibility.check_contrast(*changed, appears, self.largest_load())]
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
         self._threshold = self._fixed_threshold(faults)
         contact = self._contact(self.reference_frame)
@@ -231,7 +232,7 @@ class ContactStage(Stage):
                 picture = self._counts(self.reference_frame)[0] - self._black
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                shadow = view_faults.check_shadow(picture / lit, away, period)
+                shadow = [*view_faults.check_shadow(picture / lit, away, period)]
                 self.warnings.extend(shadow or self._check_rim(frame, contact))
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
@@ -243,7 +244,7 @@ class ContactStage(Stage):
         )
         self.warnings.extend(view_faults.check_moved_glass(pictures, light, away))
 
-    def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> list[str]:
+    def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> Iterable[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
         counts, size = self.inputs.counts(frame, self._view), self.inputs.mm_per_px
         lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
@@ -255,8 +256,8 @@ class ContactStage(Stage):
         sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
-        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
-        return warnings or view_faults.check_sparse_ridges(sparse, real, gross)
+        faint = [*view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
+        return faint or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(
         self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]
@@ -277,7 +278,7 @@ class ContactStage(Stage):
             self._outside[index] = count * pixel_mm2[k]
             if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.inputs.scene.recording.first_frame
-                several = view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)
+                several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)]
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
 

@@ -108,9 +108,8 @@ class TrackingStage(Stage):
         frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
         self.warnings.extend(plausibility.check_clipped("topography", frame))
         if contact.skin is not None:
-            mirrored, offset_px = ridges.compare_views(contact.skin, frame, self._to_contact)
-            views = plausibility.check_mirrored(mirrored) or plausibility.check_views(offset_px, self.inputs.mm_per_px)
-            self.warnings.extend(views)
+            compared = ridges.compare_views(contact.skin, frame, self._to_contact)
+            self.warnings.extend(plausibility.check_views(*compared, self.inputs.mm_per_px))
 
     def step(self, batch: Batch) -> Any:
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
@@ -185,9 +184,8 @@ class TrackingStage(Stage):
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_tracking(self.series["tracked_share"], first_frame))
-        self.warnings.extend(plausibility.check_windows(self.series["window_differs_share"], first_frame))
-        self.warnings.extend(plausibility.check_dust(self._held, first_frame))
+        shares = self.series["tracked_share"], self.series["window_differs_share"], self._held
+        self.warnings.extend(plausibility.check_tracking(*shares, first_frame))
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
