@@ -2,13 +2,13 @@
 fields by local fits, and medians over the gross contact.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fingerflow.engines.engine import EnteredPoints, FrameEllipse
+from fingerflow.engines.engine import FrameEllipse
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
+from fingerflow.pipeline.stages.preparation.reference import resolve_reference
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
@@ -82,26 +82,10 @@ class DeformationStage(Stage):
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
-    reference_of: Reference
-    entered: NDArray[np.intp]
-    by_onsets: bool
-    common_position: Points
-    last: int
-    seeded: NDArray[np.intp]
-    some_later: bool
-    begins: NDArray[np.int32]
-    onset: NDArray[np.int32]
-    reference: Points
-    reference_px: Points
-    noise: Points
-    onset_variance: Points
-    of_onset: Points
-
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
-        self._fixed: _Fixed | None = None  # positions in the reference frame; None if displacement counts from onsets
         self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
         self._median, self._variance = np.full((2, len(trial), 5), np.nan)
@@ -111,6 +95,8 @@ class DeformationStage(Stage):
         status = self.results["frame_status"][:]
         self.reference_of = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
         self._attributes = self.reference_of.attributes(first_frame)
+        then = self.reference_of.frame
+        self.by_onsets = then is None
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
@@ -125,11 +111,11 @@ class DeformationStage(Stage):
             if shaken_px:
                 counted = "displacement and strain are those without this motion, positions those with it"
                 self.warnings.append(vibration_warning(shaken_px, counted))
-        if self.reference_of.frame is not None:
-            then = self.reference_of.frame
-            noise = self.results["position_noise_px"][then : then + 1][0]
-            self._fixed = _Fixed(
-                self.steady_position(np.array([then]))[0], self.results["position_px"][then : then + 1][0], noise
+        if then is not None:
+            # Positions of all points, and their standard deviations, in the frame from which displacement counts.
+            self._fixed = self.steady_position(np.array([then]))[0]
+            self._fixed_px, self._fixed_noise_px = (
+                self.results[name][then : then + 1][0] for name in ("position_px", "position_noise_px")
             )
         border = FrameEllipse(*(self.results[f"ellipse_{part}"][:] for part in FrameEllipse._fields))
         self.border = self._onset_border = border._replace(center=border.center - self._shaken)
@@ -140,15 +126,14 @@ class DeformationStage(Stage):
         begin = int(usable[0])
         here = self.steady_position(np.array([begin]))
         depth = self._onset_border.select(slice(begin, begin + 1)).inside(here)[0]
-        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & (self._fixed is None))
+        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & self.by_onsets)
         self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
         self._curvature_then = np.zeros(points, np.float32)
-        if self.reference_of.frame is not None:
-            then_px2 = self._skin(np.array([self.reference_of.frame])).curvature[0]
-            self._curvature_then = then_px2 * np.float32(self.mm_per_px**2)
+        if then is not None:
+            self._curvature_then = self._skin(np.array([then])).curvature[0] * np.float32(self.mm_per_px**2)
         self._find_onsets()
-        moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
+        moves_in = np.zeros(points, dtype=bool)
         if self.by_onsets:
             if pressed:
                 gross = self.results["gross_contact_area"][:]
@@ -243,23 +228,11 @@ class DeformationStage(Stage):
         curvature = abs(skin.curvature * np.float32(self.mm_per_px**2) - self._curvature_then)
         entered, late = None, np.zeros((2, len(self.reference)))
         if self._entry is not None:
-            entered = self._gradients_since_entry(self._entry, frames)  # sets `late` of points that enter
-            late[:, self.entered] = variance_of_late(self._entry.late)
+            spread = self.tracked_variance(frames, "position_std_px")
+            entered = self._entry.update(frames, self.results["position"][frames], spread)
+            late[:, self.entered] = variance_of_late(self._entry.late)  # of points that have entered by now
         more = self.of_onset, self._gain, entered, late, unseen, passing
         return Displacement(self.reference, moved, noise, curvature, *more)
-
-    def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative
-        to its position on entry, with covariances; NaN for all other points.
-        """
-        among = np.zeros((len(frames), len(self.onset)), dtype=bool)
-        among[:, self.entered] = True
-        gradient = np.full((*among.shape, 2, 2), np.nan, np.float32)
-        covariance = np.full((*among.shape, 2, 2, 2, 2), np.nan, np.float32)
-        gradient[:, self.entered], covariance[:, self.entered] = entry.update(
-            frames, self.results["position"][frames], self.tracked_variance(frames)
-        )
-        return EnteredPoints(among, gradient, covariance)
 
     def finish(self) -> None:
         vector, vector_std = (self.series[f"global_displacement_vector{of}"] for of in ("", "_std"))
@@ -298,7 +271,7 @@ class DeformationStage(Stage):
                 values[:] = np.interp(frames, number, variance)
         return result
 
-    def tracked_variance(self, indices: NDArray[np.intp], name: str = "position_std_px") -> NDArray[np.float32]:
+    def tracked_variance(self, indices: NDArray[np.intp], name: str) -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
         is the result variable of the standard deviation.
         """
@@ -333,11 +306,11 @@ class DeformationStage(Stage):
         self.reference_px = self.inputs.geometry.on_topography(self.reference)
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
-        if self._fixed is not None:
+        if not self.by_onsets:
             self.onset = np.where(stays, touch.start, -1).astype(np.int32)
             self.begins = np.full_like(self.onset, self.reference_of.frame)
-            self.reference = np.where(touched[:, None], self._fixed.position, np.nan)
-            self.reference_px = np.where(touched[:, None], self._fixed.position_px, np.nan)
+            self.reference = np.where(touched[:, None], self._fixed, np.nan)
+            self.reference_px = np.where(touched[:, None], self._fixed_px, np.nan)
 
     def _warn_of_unknown(self) -> None:
         touching = self.onset >= 0
@@ -358,21 +331,15 @@ class DeformationStage(Stage):
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
         usable = np.flatnonzero(self.usable[indices])  # an unusable frame does not end a touch
-        if len(usable) == len(indices):
-            touching = touch.add_frames(indices, covered, position, variance, border)
-        else:
-            unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
-            touching = Touching(np.full_like(position, np.nan), *unknown, *none)
-            if len(usable):
-                frames = indices[usable]
-                gone_on = touch.add_frames(
-                    frames, covered[usable], position[usable], variance[usable], border.select(usable)
-                )
-                for whole, part in zip(touching, gone_on, strict=True):
-                    whole[usable] = part
-        if self._fixed is not None:
-            reference = np.where(touching.touching[..., None], self._fixed.position, np.nan)
-            exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
+        unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
+        touching = Touching(np.full_like(position, np.nan), *unknown, *none)
+        if len(usable):
+            part = indices[usable], covered[usable], position[usable], variance[usable], border.select(usable)
+            for whole, values in zip(touching, touch.add_frames(*part), strict=True):
+                whole[usable] = values
+        if not self.by_onsets:
+            reference = np.where(touching.touching[..., None], self._fixed, np.nan)
+            exact = np.broadcast_to(self._fixed_noise_px**2, variance.shape)
             begins = np.broadcast_to((indices == self.reference_of.frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)
@@ -412,16 +379,6 @@ class DeformationStage(Stage):
         """Return the positions (n, N, 2) mm of the points in n frames, without the vibration of the image."""
         position: Points = self.results["position"][indices] - self._shaken[indices, None]
         return position
-
-
-class _Fixed(NamedTuple):
-    """Positions of all points, and their standard deviations, in the one frame from which displacement is counted for
-    all points; NaN for points not tracked in it.
-    """
-
-    position: Points  # (N, 2) mm, positions
-    position_px: Points
-    deviation_px: NDArray[np.float32]  # (N,) px, standard deviations of the positions
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:
