@@ -123,16 +123,14 @@ class SlipStage(Stage):
         self._first = np.asarray(self.results["position"][slice(0, 1)])[0]
         self._known = np.isfinite(self._first).all(-1)
         self._grid: SlipGrid | None = None
-        size = contact.cell_px * self.inputs.mm_per_px
-        first_cell = (contact.cell_px - 1) / 2 * self.inputs.mm_per_px
+        self._border: StuckBorder | None = None
         self._reach = half_window
         self._cells = (shape[0], shape[1])
         try:
-            self._grid = SlipGrid(self._first[self._known], self._cells, size, first_cell, half_window)
+            self._grid = SlipGrid(self._first[self._known], self._cells, **contact.cells(), reach_mm=half_window)
         except ValueError as error:
             self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
-        self._border: StuckBorder | None = None
-        if self._grid is not None:
+        else:
             seen = self._how_seen(self._grid)
             if self._settings.criterion == "border":
                 self._border = StuckBorder(self._grid, half_window, seen, self.clear)
@@ -175,11 +173,9 @@ class SlipStage(Stage):
         The tracker subtracts a correction for a curvature that it measures over most of the contact. Beside a border of
         slip the curvature is another one, so the correction is left out.
         """
-        return np.asarray(self._motion(frames) + self._correction(frames) - self._correction(slice(0, 1)))
-
-    def _correction(self, frames: Any) -> NDArray[Any]:
-        """Return the correction (n, N, 2) mm for the deformation of the skin, which the tracker has subtracted."""
-        return np.asarray(self.results["deformation_correction_px"][frames][:, self._known] @ self._of_px.T)
+        corrections = self.results["deformation_correction_px"]
+        now, first = (corrections[part][:, self._known] @ self._of_px.T for part in (frames, slice(0, 1)))
+        return np.asarray(self._motion(frames) + now - first)
 
     def _points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
         """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
@@ -231,7 +227,7 @@ class SlipStage(Stage):
         position_std = math.nan if border is None else border.position_std
         deviation = np.sqrt(4 * np.pi * ratio / self._area * position_std**2 + _RATIO_NOISE**2)
         self.series["stuck_ratio_std"] = deviation
-        verdict = self._judged(forces, deviation)
+        verdict = self._judged(ratio, forces, deviation)
         parts: dict[str, TrialVerdict | FrictionFit | CurveComparison] = {"verdict": verdict}
         if verdict.collapse_frame >= 0 and forces is not None:
             slow = verdict.loading()
@@ -310,27 +306,23 @@ class SlipStage(Stage):
                 seconds = self.inputs.times[after] - self.inputs.times[before]
                 self.series["slip_speed"][frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
-    def _judged(self, forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]) -> TrialVerdict:
-        reason = ""
-        if not np.nanmax(self._area, initial=0.0) > 0:
-            reason = "there is no contact in any frame"
-        elif not self._area[0] > 0:
-            reason = (
-                "there is no contact in the first frame, from which displacement counts: set [recording] first_frame"
-            )
-        elif self.inputs.scene.forces is None:
-            reason = "there are no forces: the scene has no [forces] table"
-        elif forces is None:
-            reason = "there is no tangential force: name its channel in [forces] tangential"
-        elif self._edge[0]:
-            reason = (
-                "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
-            )
-        elif not np.isfinite(self.series["stuck_ratio"]).any():
-            reason = "the displacement is known in too little of the contact in every frame"
+    def _judged(
+        self, ratio: NDArray[np.float64], forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]
+    ) -> TrialVerdict:
+        start = "in the first frame, from which displacement counts: set [recording] first_frame"
+        cut = "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
+        reasons = {
+            "there is no contact in any frame": not np.nanmax(self._area, initial=0.0) > 0,
+            f"there is no contact {start}": not self._area[0] > 0,
+            "there are no forces: the scene has no [forces] table": self.inputs.scene.forces is None,
+            "there is no tangential force: name its channel in [forces] tangential": forces is None,
+            cut: self._edge[0],
+            "the displacement is known in too little of the contact in every frame": np.isnan(ratio).all(),
+        }
+        reason = next((reason for reason, applies in reasons.items() if applies), "")
         if reason or forces is None:
             return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self.trial))
-        verdict = judge_trial(self.series["stuck_ratio"], forces, self.inputs.times, deviation)
+        verdict = judge_trial(ratio, forces, self.inputs.times, deviation)
         if verdict.outcome == "inconclusive" and self._edge.any():
             left = f"; the contact reaches the edge of the view in {int(self._edge.sum())} frames, whose d² is NaN"
             return replace(verdict, reason=verdict.reason + left)
