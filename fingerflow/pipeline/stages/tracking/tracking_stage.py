@@ -94,8 +94,7 @@ class TrackingStage(Stage):
         contact = self.trial.stage(ContactStage)
         border = self.depends_on(self.trial.planned)
         window = self._settings.window_px
-        region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
-        self._region = region[0, 0].cpu().numpy()
+        self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
         if not self._region.any():
             self.warnings.append(
                 f"no contact at {contact.largest_load()}: there are no points and no deformation. Check frame rate and "
