@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -28,7 +28,6 @@ from fingerflow.results.free_space import check_disk, check_memory, size_of_resu
 from fingerflow.results.result import is_result, open_own, open_result
 from fingerflow.results.store import FileStore, MemoryStore, Store
 from fingerflow.schema.scene import Scene, load_scene
-from fingerflow.schema.variable_record import Variable
 
 _PICTURES = 16  # frames per batch; as many again are decoded ahead
 _NUMBERS = 64  # frames per batch in a pass without images
@@ -73,58 +72,50 @@ def process(
     Raises:
         FingerflowError: for every error that the user can correct; the message names the file and the value.
     """
-    if to is not None:
-        process_to_file(Path(to), scene, outputs, device, progress, engine, overwrite, earlier)
-        return open_own(Path(to))
-    with (
-        torch.inference_mode(),
-        _prepared(_loaded(scene), outputs, device, engine) as (planned, inputs, size, variables),
-    ):
-        check_memory(size)
-        store = MemoryStore(variables, len(inputs.times))
-        _run(planned, inputs, store, progress, earlier)
-        return store.dataset
+    settings: dict[str, Any] = {"outputs": outputs, "device": device, "progress": progress, "engine": engine}
+    settings["earlier"] = earlier
+    if to is None:
+        return _compute(_loaded(scene), None, **settings)
+    process_to_file(Path(to), scene, overwrite, **settings)
+    return open_own(Path(to))
 
 
-def process_to_file(
-    to: Path,
-    scene: Scene | str | Path,
-    outputs: Iterable[str] | None = None,
-    device: str = "auto",
-    progress: bool = False,
-    engine: str = "auto",
-    overwrite: bool = False,
-    earlier: str | Path | None = None,
-) -> None:
-    """Compute a scene into the file `to` as `process` does, and leave the file closed: opening it takes longer than a
-    stage of a small recording.
+def process_to_file(to: Path, scene: Scene | str | Path, overwrite: bool = False, **settings: Any) -> None:
+    """Compute a scene into the file `to` as `process` does, by the same `settings`, and leave the file closed: opening
+    it takes longer than a stage of a small recording.
     """
     scene = _loaded(scene)
     spare(to, *scene.files())
     keep_others(to, is_result, overwrite)
-    with torch.inference_mode(), _prepared(scene, outputs, device, engine) as (planned, inputs, size, variables):
-        check_disk(to, size)
-        with written_atomically(to) as part, FileStore(variables, len(inputs.times), part) as file:
-            _run(planned, inputs, file, progress, earlier)
+    _compute(scene, to, **settings)
 
 
 def _loaded(scene: Scene | str | Path) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(Path(scene))
 
 
-@contextmanager
-def _prepared(
-    scene: Scene, outputs: Iterable[str] | None, device: str, engine: str
-) -> Iterator[tuple[Plan, Inputs, float, dict[str, Variable]]]:
-    """Yield the plan, opened inputs, result size in bytes and variable definitions of a run."""
+def _compute(
+    scene: Scene, to: Path | None, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False,
+    engine: str = "auto", earlier: str | Path | None = None,
+) -> xr.Dataset:  # fmt: skip
+    """Compute a scene into the file `to`, or into the data set that is returned, which is empty otherwise."""
     planned = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     inputs = open_inputs(scene, device, engine)
     # Products of matrices are small here: threads of BLAS would take longer, and wait for the next one at full load.
-    with inputs.recording, _libraries().limit(limits=1, user_api="blas"):
+    with torch.inference_mode(), inputs.recording, _libraries().limit(limits=1, user_api="blas"):
         possible = (variable for stage in planned.stages for variable in stage.gives)
-        variables = (variable for variable in possible if variable.unasked or variable.name in planned.requested)
-        size = size_of_results(variables, len(inputs.times), scene.tracking.points)
-        yield planned, inputs, size, stated(VARIABLES, inputs.recording.takes_from_other_frames)
+        asked = (variable for variable in possible if variable.unasked or variable.name in planned.requested)
+        size = size_of_results(asked, len(inputs.times), scene.tracking.points)
+        variables = stated(VARIABLES, inputs.recording.takes_from_other_frames)
+        if to is None:
+            check_memory(size)
+            store = MemoryStore(variables, len(inputs.times))
+            _run(planned, inputs, store, progress, earlier)
+            return store.dataset
+        check_disk(to, size)
+        with written_atomically(to) as part, FileStore(variables, len(inputs.times), part) as file:
+            _run(planned, inputs, file, progress, earlier)
+        return xr.Dataset()
 
 
 def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: str | Path | None) -> None:
@@ -146,13 +137,13 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
             reuse[TAKEN_OVER] = earlier_result.as_json()
         for kinds in planned.passes():
             stages.update({stage_class: stage_class(trial) for stage_class in kinds})
-            running = [stages[stage_class] for stage_class in kinds]
-            if earlier_result is not None:
-                for stage in running:
-                    if type(stage) in earlier_result.stages:
-                        with _timed(seconds, stage.name):
-                            earlier_result.restore(stage)
-                running = [stage for stage in running if type(stage) not in earlier_result.stages]
+            running = []
+            for stage_class in kinds:
+                if earlier_result is None or stage_class not in earlier_result.stages:
+                    running.append(stages[stage_class])
+                    continue
+                with _timed(seconds, stage_class.name):
+                    earlier_result.restore(stages[stage_class])
             _pass(running, trial, seconds, progress)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)

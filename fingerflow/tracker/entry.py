@@ -168,7 +168,7 @@ class EntryGradients:
 
         `onset_variance` (N,) frame^2 is that of the times of onset; other arguments are those of `advected`.
         """
-        self._engine, self._onset, self._gauge = engine, onset[entered], gauge_mm
+        self._engine, self._entered, self._onset, self._gauge = engine, entered, onset[entered], gauge_mm
         self._deviation = np.sqrt(onset_variance[entered])
         self.late = np.zeros((len(entered), 2, 2))
         valid = np.flatnonzero(np.isfinite(positions).all(1))
@@ -181,10 +181,9 @@ class EntryGradients:
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
         self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
 
-    def update(self, frames: Array, position: Array, variance: Array) -> tuple[Array, Array]:
-        """Return the displacement gradients (n, E, 2, 2) of the advected points since their entry into the contact in n
-        frames, numbered `frames` (n,), and their covariances (n, E, 2, 2, 2, 2), from the positions (n, N, 2) mm of all
-        points and their variance (n, N) mm^2.
+    def update(self, frames: Array, position: Array, variance: Array) -> EnteredPoints:
+        """Return the advected points with their displacement gradients since their entry into the contact in n frames,
+        numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N) mm^2.
 
         A gradient is with respect to positions at the entry; it is NaN before the entry, and where too little is known.
         The variance is that of a component relative to the frame in which points were seeded. Half of it belongs to
@@ -203,7 +202,12 @@ class EntryGradients:
             change = np.nan_to_num(now[k, enter] - course[k, enter])
             self.late[enter] = change * (self._deviation[enter] / self.BEFORE)[:, None, None]
             self._begun[enter], self._begun_covariance[enter] = now[k, enter], covariance[k, enter]
-        return now @ inverse_2x2(self._begun) - _EYE, covariance + self._begun_covariance
+        among = np.zeros(variance.shape, dtype=bool)
+        among[:, self._entered] = True
+        entered = [np.full((*among.shape, *(2,) * axes), np.nan, np.float32) for axes in (2, 4)]
+        entered[0][:, self._entered] = now @ inverse_2x2(self._begun) - _EYE
+        entered[1][:, self._entered] = covariance + self._begun_covariance
+        return EnteredPoints(among, *entered)
 
 
 class Entries:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES, plan
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import MemoryStore
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.variables import USABLE
 
 
 class Previewer:
@@ -34,16 +34,15 @@ class Previewer:
         self.scene = scene
         same = before if before is not None and _input_settings(before.scene) == _input_settings(scene) else None
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.replace_scene(scene)
-        self._trial = self._begin_trial()
+        self._trial = self._begin_trial(len(self._inputs.times))
         # Resample the forces only once, as they do not depend on the views.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
         self._loading: LoadingStage = lent or self._begin(LoadingStage(self._trial))
-        check = FrameCheckStage(self._trial)
-        check.usable = np.ones(len(self._trial), dtype=bool)
-        self._trial.stages = {LoadingStage: self._loading, FrameCheckStage: check}
+        for name, values in self._loading.series.items():
+            self._trial.results.put(name, values)
         self._seen: dict[int, tuple[NDArray[np.bool_], dict[str, Any]]] = {}
         self._contact = ContactStage(self._trial)
-        self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
+        self._trial.stages = {ContactStage: self._contact}
         self._begin(self._contact)
 
     @property
@@ -60,12 +59,8 @@ class Previewer:
         """Return normal force, tangential force and their ratio (F,) at the frames that the scene selects, as far as
         known, by variable name.
         """
-        forces = {
-            "normal_force": self._loading.normal,
-            "tangential_force": self._loading.tangential,
-            "load_ratio": self._loading.ratio,
-        }
-        return {name: values for name, values in forces.items() if values is not None}
+        names = ("normal_force", "tangential_force", "load_ratio")
+        return {name: values for name, values in self._loading.series.items() if name in names}
 
     def contact(self, frame: int) -> tuple[NDArray[np.bool_], dict[str, Any]]:
         """Return the predicted contact in a frame, given by its index among the selected frames of the recording: the
@@ -74,7 +69,7 @@ class Previewer:
         if frame not in self._seen:
             with torch.inference_mode():
                 contact = self._contact.step(self._batch(frame))
-            numbers = {name: values[frame] for name, values in self._contact.series.items() if name != "frame_status"}
+            numbers = {name: values[frame] for name, values in self._contact.series.items()}
             self._seen = {frame: (contact.real_contact_mask[0, 0], numbers)}
         return self._seen[frame]
 
@@ -89,7 +84,7 @@ class Previewer:
             raise FingerflowError("the scene has no topography view: no points are followed, areas are all it gives")
         frame = len(self._trial) - 1 if self.scene.tracking.direction == "backward" else 0
         trial = self._begin_trial(frame + 1)
-        trial.stages = {**self._trial.stages}
+        trial.stages = self._trial.stages
         tracking = TrackingStage(trial)
         with torch.inference_mode():
             tracking.begin()
@@ -99,10 +94,11 @@ class Previewer:
         points = trial.results["position_px"][np.array([frame])][0]
         return points, frame, list(tracking.warnings)
 
-    def _begin_trial(self, stored: int = 1) -> RunContext:
+    def _begin_trial(self, stored: int) -> RunContext:
         """Return a new context for running stages of `process`, with storage for the results of `stored` frames."""
-        planned = plan(None, self.scene)
-        return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.requested, {})
+        planned, store = plan(None, self.scene), MemoryStore(VARIABLES, stored)
+        store.put("frame_status", np.full(stored, USABLE))
+        return RunContext(self._inputs, store, planned.stages, planned.requested, {})
 
     def _begin(self, stage: Any) -> Any:
         with torch.inference_mode():

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -12,7 +13,8 @@ from fingerflow.engines.engine import Images
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.variable_record import Variable
+from fingerflow.schema.variable_record import LABELS, Variable
+from fingerflow.schema.variables import USABLE
 from fingerflow.schema.views import View
 
 S = TypeVar("S", bound="Stage")
@@ -76,8 +78,8 @@ class Stage:
 
     The pipeline goes over the frames once for all stages that depend only on each other's steps, and again for the
     stages after them. It calls `begin` of each stage in the order of dependencies, `step` batch by batch, `finish`, and
-    `derive`. A stage writes results of frames to `RunContext.results` as they are computed; for all frames it holds
-    only a few numbers a frame.
+    `derive`. A stage writes results of points and triangles to `RunContext.results` as they are computed; for all
+    frames it holds only a few numbers a frame, in `series`. Later stages read both from `RunContext.results`.
 
     Attributes:
         name: in the plan, and in the seconds that a result states.
@@ -93,6 +95,8 @@ class Stage:
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
         restored: True if `restore` brings back all that later stages need of it from an earlier result.
         warnings: messages to the user; of the instance.
+        series: values (frames, ...) by name of the variables that have a few numbers a frame, NaN until they are set;
+            `derive` stores them, with the attributes in `about`.
     """
 
     name: ClassVar[str]
@@ -112,6 +116,13 @@ class Stage:
         self.warnings: list[str] = []
         self.inputs = trial.inputs
         self.results = trial.results
+        self.about: dict[str, Mapping[str, Any]] = {}
+        self.series = {
+            variable.name: np.full((len(trial), *(len(LABELS[dim]) for dim in variable.dims[1:])), np.nan)
+            for variable in filter(trial.stores, self.gives)
+            if variable.dims[0] == "frame" and variable.dtype == "f8" and LABELS.keys() >= {*variable.dims[1:]}
+            if variable.formula is None and all(map(trial.inputs.scene.has, variable.needs))
+        }
 
     @classmethod
     def variant(cls, scene: Scene) -> type["Stage"]:
@@ -126,6 +137,15 @@ class Stage:
         results of this stage; None if nothing does.
         """
         return None
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """Return the mask (frames,) of the frames that count, once they are checked."""
+        return self.results["frame_status"][:] == USABLE
+
+    def known(self, name: str) -> NDArray[Any] | None:
+        """Return the values of a result of an earlier stage; None where this trial has none."""
+        return self.results[name][:] if name in self.results else None
 
     @property
     def backward(self) -> bool:
@@ -154,7 +174,9 @@ class Stage:
                     stored[first : first + FRAMES_READ] = values[first : first + FRAMES_READ].values
 
     def derive(self) -> None:
-        """Compute, after `finish`, the variables that are defined by formulas of other variables."""
+        """Store the series after `finish`, and compute the variables that are formulas of others."""
+        for name, values in self.series.items():
+            self.results.put(name, values, self.about.get(name))
         for variable in self.gives:
             defined = self.trial.stores(variable) and all(name in self.results for name in variable.of)
             if variable.formula is not None and defined:

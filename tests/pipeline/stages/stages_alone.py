@@ -13,9 +13,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.pipeline.run import _pass
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
-from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import MemoryStore
@@ -25,6 +23,7 @@ def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyfr
     """Return inputs that have settings and an image scale, but no recording."""
     scene = SimpleNamespace(
         kind="press",
+        has=lambda key: True,
         fields=SimpleNamespace(
             reference="onset",
             gauge_length_mm=1.6,
@@ -46,23 +45,16 @@ def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyfr
 
 
 def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> RunContext:
-    """Return a run context whose contact stage has the series `contact` and whose variables have the values `given`."""
+    """Return a run context whose variables have the values `given` and those of the series `contact`."""
     inputs.times = inputs.times[:frames]
     trial = RunContext(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
     stage = object.__new__(ContactStage)
-    stage.series = {name: values[:frames] for name, values in contact.items()}
     stage.inputs, stage.cell_px, stage.faint_rim_mm = inputs, 4, 0.0
-    check = object.__new__(FrameCheckStage)
-    check.usable = np.ones(frames, dtype=bool)
     tracking = object.__new__(TrackingStage)
     tracking._settings = inputs.scene.tracking if hasattr(inputs.scene, "tracking") else None  # type: ignore[assignment]
-    trial.stages = {
-        ContactStage: stage,
-        LoadingStage: LoadingStage(trial),
-        FrameCheckStage: check,
-        TrackingStage: tracking,
-    }
-    trial.results.put("frame_status", np.zeros(frames))
+    trial.stages = {ContactStage: stage, TrackingStage: tracking}
+    for name, values in ({"frame_status": np.zeros(frames)} | contact).items():
+        trial.results.put(name, values[:frames])
     if "position" in given and "status" not in given:  # known points are tracked and were seeded in the first frame
         lost = np.isnan(given["position"]).any(-1)
         given["status"] = np.where(lost, int(TrackStatus.NOT_CONVERGED), int(TrackStatus.TRACKED)).astype(np.uint8)

@@ -1,5 +1,6 @@
 """Contact in every frame: real and apparent (gross) area, fitted ellipse, and region of the apparent contact."""
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import cv2
@@ -7,7 +8,6 @@ import numpy as np
 import torch
 import xarray as xr
 from numpy.typing import NDArray
-from torch import Tensor
 
 from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import FrameContact, Images
@@ -36,8 +36,6 @@ class ContactStage(Stage):
     The stage stores measured quantities, no images.
 
     Attributes:
-        series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
-            NaN in unusable frames.
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
@@ -68,11 +66,6 @@ class ContactStage(Stage):
         self.cell_px = self._engine.cell_px
         self._on_glass = SizesOnGlass(self.inputs.geometry, self.cell_px)
         frames = len(trial)
-        self.series = {
-            variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
-            for variable in CONTACT
-            if variable.name != "gross_contact_region" and variable.formula is None
-        }
         self._gain = np.full(frames, np.nan)  # illumination gain
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
         self.faint_rim_mm = self._pale_rim_mm = 0.0
@@ -80,7 +73,6 @@ class ContactStage(Stage):
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
     def begin(self) -> None:
-        self._usable = self.trial.stage(FrameCheckStage).usable
         reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
         glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
         self._black = np.float32(0) if black is None else black
@@ -89,21 +81,21 @@ class ContactStage(Stage):
         light, level = self._glass_light
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
-        first = int(np.argmax(self._usable))
+        first = int(np.argmax(self.usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
         at_first = self._changed(first)
-        faults = plausibility.check_exposure(*at_first, first + first_frame)
+        faults = [*plausibility.check_exposure(*at_first, first + first_frame)]
         self.warnings.extend(faults or plausibility.check_background(at_first[0], first + first_frame))
-        self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
+        self.reference_frame = self._most_contact()
         changed = self._changed(self.reference_frame)
-        faults = faults or plausibility.check_contrast(*changed, appears, self.largest_load())
+        faults = faults or [*plausibility.check_contrast(*changed, appears, self.largest_load())]
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
         self._threshold = self._fixed_threshold(faults)
         contact = self._contact(self.reference_frame)
         self._largest = self._gross_region(contact)
         self._second_px = view_faults.SECOND_CONTACT * float(self._largest.sum())  # least size of a second contact
         skin = self._counts(self.reference_frame)[0] - self._black
-        self.skin = ridges.skin_patch(skin, self._glass, self._largest[0, 0].numpy())
+        self.skin = ridges.skin_patch(skin, self._glass, self._largest)
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
         self.warnings.extend(plausibility.check_ridges(self._period_px, self.inputs.mm_per_px))
         self._check_view(contact)
@@ -126,7 +118,7 @@ class ContactStage(Stage):
             self.series[name][indices] = values
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
-            self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
+            self.results["gross_contact_region"][indices] = region & self.usable[indices, None, None]
         self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
@@ -138,8 +130,8 @@ class ContactStage(Stage):
         if self._several_parts:
             self.series["real_contact_area"] -= self._outside
         for values in (*self.series.values(), self._gain):
-            values[~self._usable] = np.nan
-        self._blind &= self._usable
+            values[~self.usable] = np.nan
+        self._blind &= self.usable
         gains = self._gain[np.isfinite(self._gain)]
         if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + first_frame
@@ -152,7 +144,7 @@ class ContactStage(Stage):
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
         self.warnings.extend(plausibility.check_areas(real, gross, area, radius, first_frame))
-        normal = self.trial.stage(LoadingStage).normal
+        normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
             self.warnings.extend(plausibility.check_missing_frames(gross, normal, first_frame))
         self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, first_frame))
@@ -160,16 +152,11 @@ class ContactStage(Stage):
             self.warnings.extend(plausibility.check_pressure(normal, gross))
             self.warnings.extend(plausibility.check_onset(normal, gross, first_frame))
             self.warnings.extend(plausibility.check_growth(normal, gross))
-        for name, values in self.series.items():
-            about: dict[str, float] = {}
-            if name == "gross_contact_area":
-                about["ridge_period_mm"] = self._period_px * self.inputs.mm_per_px
-                about |= {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
-            self.results.put(name, values, about)
+        faint = {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
+        self.about["gross_contact_area"] = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} | faint
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
-        self.series = {name: earlier[name].values for name in self.series if name in earlier}
         self.faint_rim_mm = float(earlier["gross_contact_area"].attrs.get("faint_rim_mm", 0.0))
 
     def derive(self) -> None:
@@ -195,43 +182,41 @@ class ContactStage(Stage):
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
-    def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the mask (1, 1, h, w) of the gross contact in the frame with most contact, united with that of the
+    def largest_and_first(self, window_px: int) -> NDArray[np.bool_]:
+        """Return the mask (h, w) of the gross contact in the frame with most contact, united with that of the
         first usable frame if the contact has moved away from it.
 
         The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
         other. That contact has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self._largest, self._region_in(int(np.argmax(self._usable)))
+        largest, first = self._largest, self._region_in(np.argmax(self.usable))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def touched(self, frames: int = _LOOKS) -> NDArray[np.bool_]:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
-        regions = [self._region_in(int(frame)) for frame in self._sampled_frames(frames)]
-        return torch.stack(regions).any(0)[0, 0].cpu().numpy()
+        return np.any([self._region_in(frame) for frame in self._sampled_frames(frames)], axis=0)
 
     def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
-        usable = np.flatnonzero(self._usable)
+        usable = np.flatnonzero(self.usable)
         looks = np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int)
         return usable[np.unique(looks)]
 
-    def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the union (1, 1, h, w) of the gross contact masks in the first usable frame and in the frame with most
+    def first_and_largest(self, margin_px: int) -> NDArray[np.bool_]:
+        """Return the union (h, w) of the gross contact masks in the first usable frame and in the frame with most
         contact, dilated by `margin_px`.
 
         A contact that slides has left the first region by then. The margin gives points on both sides of the contact
         border.
         """
-        beyond = ~(self._region_in(int(np.argmax(self._usable))) | self._largest)
-        pixels = beyond[0, 0].cpu().numpy().astype(np.uint8)
-        away = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        return torch.from_numpy(away <= margin_px)[None, None].to(beyond.device)
+        beyond = ~(self._region_in(np.argmax(self.usable)) | self._largest)
+        away = cv2.distanceTransform(beyond.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        return np.asarray(away <= margin_px)
 
     def _check_view(self, contact: FrameContact) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
-        region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0]
+        region, light = self._largest, self._glass_light[0][0, 0]
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
@@ -244,11 +229,11 @@ class ContactStage(Stage):
                 picture = self._counts(self.reference_frame)[0] - self._black
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                shadow = view_faults.check_shadow(picture / lit, away, period)
+                shadow = [*view_faults.check_shadow(picture / lit, away, period)]
                 self.warnings.extend(shadow or self._check_rim(frame, contact))
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
-        usable = np.flatnonzero(self._usable)
+        usable = np.flatnonzero(self.usable)
         first_frame = self.inputs.scene.recording.first_frame
         pictures = (
             (frame + first_frame, self._counts(frame)[0] - self._black)
@@ -256,20 +241,20 @@ class ContactStage(Stage):
         )
         self.warnings.extend(view_faults.check_moved_glass(pictures, light, away))
 
-    def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> list[str]:
+    def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> Iterable[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
         counts, size = self.inputs.counts(frame, self._view), self.inputs.mm_per_px
         lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
         gross, whole = (float(seen.gross_area_px[0]) * size**2 for seen in (contact, lower))
         self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
-        region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
-        thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
+        mask = contact.real_contact_mask
+        thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px)
         rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
         sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
-        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
-        return warnings or view_faults.check_sparse_ridges(sparse, real, gross)
+        faint = [*view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
+        return faint or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(
         self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]
@@ -288,23 +273,24 @@ class ContactStage(Stage):
             index = indices[k]
             count = int(outside.sum())
             self._outside[index] = count * pixel_mm2[k]
-            if self._usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
+            if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.inputs.scene.recording.first_frame
-                several = view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)
+                several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)]
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
 
-    def _region_in(self, frame: int) -> Tensor:
+    def _region_in(self, frame: np.integer) -> NDArray[np.bool_]:
         return self._gross_region(self._contact(frame))
 
-    def _gross_region(self, contact: FrameContact) -> Tensor:
+    def _gross_region(self, contact: FrameContact) -> NDArray[np.bool_]:
         if not (contact.density_margin > 0).any():
-            return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
-        return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
+            return np.zeros(self._view.shape, dtype=bool)
+        margin = torch.from_numpy(contact.density_margin)
+        return np.asarray(mask_of(margin, self.cell_px, *self._view.shape)[0, 0])
 
-    def _counts(self, frame: int) -> NDArray[Any]:
+    def _counts(self, frame: int | np.integer) -> NDArray[Any]:
         """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""
-        return self.inputs.counts(read_frames(self.inputs.recording[[frame]]), self._view)
+        return self.inputs.counts(read_frames(self.inputs.recording[[int(frame)]]), self._view)
 
     def _changed(self, frame: int) -> tuple[float, float]:
         """Return the shares of the lit pixels that are clearly brighter, and clearly darker, in a frame than on the
@@ -318,20 +304,18 @@ class ContactStage(Stage):
         count = max(share.size, 1)
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
-    def _contact(self, frame: int) -> FrameContact:
+    def _contact(self, frame: int | np.integer) -> FrameContact:
         return self._measure(self._engine.images(self._counts(frame)))
 
     def _measure(self, images: Images) -> FrameContact:
         threshold = None if self._threshold is None else np.full(len(images), self._threshold, np.float32)
         return self._engine.contact(images, self._light, threshold)
 
-    def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
-        if normal_force is not None:
-            force = np.where(self._usable, normal_force, np.nan)
-            if np.isfinite(force).any():
-                return int(np.nanargmax(force))
-        usable, looks = np.flatnonzero(self._usable), self._sampled_frames()
-        shares = [self._brightness(self._counts(int(i))) for i in looks]
+    def _most_contact(self) -> int:
+        if (force := self._usable_force()) is not None:
+            return int(np.nanargmax(force))
+        usable, looks = np.flatnonzero(self.usable), self._sampled_frames()
+        shares = [self._brightness(self._counts(i)) for i in looks]
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
     def _brightness(self, counts: NDArray[Any]) -> float:
@@ -370,7 +354,9 @@ class ContactStage(Stage):
                 raise FingerflowError(f"{path}: no contact: {faults[0]}")
             light, black = (image[0, 0] for image in self._glass_light)
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
-            clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""
+            clocks = (
+                "frame rate and trigger of [recording] and [forces], then " if self._usable_force() is not None else ""
+            )
             raise FingerflowError(
                 f"{path}: no contact at {self.largest_load()}: {seen or 'the contact view is that of the background'}. "
                 f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "
@@ -378,13 +364,15 @@ class ContactStage(Stage):
             )
         return threshold
 
-    def _has_forces(self) -> bool:
-        normal = self.trial.stage(LoadingStage).normal
-        return normal is not None and bool(np.isfinite(np.where(self._usable, normal, np.nan)).any())
+    def _usable_force(self) -> NDArray[np.float64] | None:
+        """Return the normal force (frames,) N, NaN in unusable frames; None if it is known in no other."""
+        normal = self.known("normal_force")
+        force = None if normal is None else np.where(self.usable, normal, np.nan)
+        return None if force is None or np.isnan(force).all() else force
 
     def largest_load(self) -> str:
         """Return in words which frame is expected to have most contact: by the normal force or, where it is unknown, by
         the darkest contact view.
         """
         frame = self.reference_frame + self.inputs.scene.recording.first_frame
-        return f"the largest force (frame {frame})" if self._has_forces() else f"the darkest frame ({frame})"
+        return f"the darkest frame ({frame})" if self._usable_force() is None else f"the largest force (frame {frame})"

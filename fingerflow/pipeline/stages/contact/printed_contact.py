@@ -43,12 +43,11 @@ class PrintedContactStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._view = self.inputs.scene.views.contact
-        self._series = {variable.name: np.full(len(trial), np.nan) for variable in PRINTED_CONTACT}
 
     def begin(self) -> None:
         self._reference = self.inputs.reference(self._view)
         self._dark = self.inputs.dark(self._view)
-        self._touches = self.trial.stage(ContactStage).series["real_contact_area"] > 0
+        self._touches = self.results["real_contact_area"][:] > 0
         first = int(np.argmax(self._touches))
         self._first = self._normalized(self.inputs.recording[[first]].read())
 
@@ -64,16 +63,13 @@ class PrintedContactStage(Stage):
         size = self.inputs.mm_per_px**2
         around = functional.pad(mask, (1, 1, 1, 1), value=True)
         eroded = mask & around[..., :-2, 1:-1] & around[..., 2:, 1:-1] & around[..., 1:-1, :-2] & around[..., 1:-1, 2:]
-        for name, values in {
+        values = {
             "printed_contact_threshold": dequantize(threshold.double()),
             "printed_real_contact_area": mask.sum((1, 2, 3)).double() * size,
             "printed_eroded_contact_area": eroded.sum((1, 2, 3)).double() * size,
-        }.items():
-            self._series[name][batch.indices[touches]] = values.cpu()
-
-    def finish(self) -> None:
-        for name, values in self._series.items():
-            self.results.put(name, values)
+        }
+        for name, series in self.series.items():
+            series[batch.indices[touches]] = values[name].cpu()
 
     def _normalized(self, frames: np.ndarray) -> NormalizedFrames:
         view: torch.Tensor = self.inputs.contact_view(frames)

@@ -1,10 +1,10 @@
 """Checks of what lies in the contact view beside the finger: unlit glass, dark objects, sweat, shadows, moved camera.
 
-Each check returns warnings that name the cause. Pictures are (h, w) of the contact view; `light` is the empty glass
+Each check yields warnings that name the cause. Pictures are (h, w) of the contact view; `light` is the empty glass
 without the dark level, 0 where it is not lit; `share` is the share of that light in a frame, NaN where it is not lit.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import cv2
@@ -38,19 +38,18 @@ _SIDE = 16  # px, side of the blocks over which light is averaged
 _UNEVEN = 0.05  # least relative change of light that is reported
 
 
-def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
+def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> Iterator[str]:
     """Return a warning if the contact region reaches glass without light, where its border is not that of the skin."""
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
     unlit = float((light[around] <= 0).mean()) if around.any() else 0.0
-    if unlit <= _UNLIT_BORDER:
-        return []
-    return [
-        f"the contact reaches glass without light along {unlit:.0%} of its border: areas, ellipse and medians are "
-        f"those of the lit part alone. Light the whole contact, or press in the middle of the light"
-    ]
+    if unlit > _UNLIT_BORDER:
+        yield (
+            f"the contact reaches glass without light along {unlit:.0%} of its border: areas, ellipse and medians are "
+            f"those of the lit part alone. Light the whole contact, or press in the middle of the light"
+        )
 
 
-def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
+def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterator[str]:
     """Return a warning if the region detected as contact is far longer than wide in some frame, as it is where a cable
     lies in the view.
 
@@ -60,14 +59,14 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[st
     major, minor = semi_axes.T
     with np.errstate(invalid="ignore"):
         frames = np.flatnonzero((gross > 0) & (2 * major > _STRIP_MM) & (major > _STRIP * minor))
-    if not len(frames):
-        return []
-    frame = frames[0]
-    return [
-        f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide in "
-        f"frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
-        f"background does not show. Remove it, leave it out by views.contact.region, or record the empty glass again"
-    ]
+    if len(frames):
+        frame = frames[0]
+        yield (
+            f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide "
+            f"in frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
+            f"background does not show. Remove it, leave it out by views.contact.region, or record the empty glass "
+            f"again"
+        )
 
 
 def outside_region(region: Mask, cell_px: int, radius_px: int) -> Mask:
@@ -81,7 +80,7 @@ def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
     return np.asarray(touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
 
 
-def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_px: float, frame: int) -> list[str]:
+def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_px: float, frame: int) -> Iterator[str]:
     """Return a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
     knuckle.
 
@@ -94,19 +93,18 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
     _, labels, parts, _ = cv2.connectedComponentsWithStats(merged, connectivity=8)
     areas = parts[1:, cv2.CC_STAT_AREA]
     if not len(areas) or areas.max() <= least_px:
-        return []
+        return
     area, real = float(areas.max()), float(touching[labels == 1 + areas.argmax()].sum())
-    if real < DENSITY * area:
-        return []
-    return [
-        f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of real "
-        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain energy are "
-        f"of the densest part alone (at ellipse_center) where the two are apart, of both where they merge. Leave the "
-        f"other out by views.contact.region, or press with one finger"
-    ]
+    if real >= DENSITY * area:
+        yield (
+            f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of "
+            f"real contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain "
+            f"energy are of the densest part alone (at ellipse_center) where the two are apart, of both where they "
+            f"merge. Leave the other out by views.contact.region, or press with one finger"
+        )
 
 
-def check_sweat(touching: Mask, period_px: float) -> list[str]:
+def check_sweat(touching: Mask, period_px: float) -> Iterator[str]:
     """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
     between the ridges: the share covered by discs 1.1 ridge periods in diameter which lie within the mask (a
     morphological opening).
@@ -115,15 +113,14 @@ def check_sweat(touching: Mask, period_px: float) -> list[str]:
     """
     solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.55 * period_px)))
     share = float(solid.sum() / max(touching.sum(), 1))
-    if not _SOLID < share < _ALL_SOLID:
-        return []
-    return [
-        f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease fills "
-        f"the valleys there and counts as contact. Dry finger and glass"
-    ]
+    if _SOLID < share < _ALL_SOLID:
+        yield (
+            f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease "
+            f"fills the valleys there and counts as contact. Dry finger and glass"
+        )
 
 
-def check_shadow(share: Picture, away: Picture, period_px: float) -> list[str]:
+def check_shadow(share: Picture, away: Picture, period_px: float) -> Iterator[str]:
     """Return a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
     shadow of the finger.
 
@@ -132,12 +129,11 @@ def check_shadow(share: Picture, away: Picture, period_px: float) -> list[str]:
     """
     around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
     left = float(np.median(around)) if len(around) else 1.0
-    if left >= 1 - _SHADOW:
-        return []
-    return [
-        f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow or halo of the finger lies "
-        f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
-    ]
+    if left < 1 - _SHADOW:
+        yield (
+            f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow or halo of the finger lies "
+            f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
+        )
 
 
 def pale_rim_mm(gross: float, lower: float) -> float:
@@ -159,56 +155,55 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
 
 
-def check_sparse_ridges(border_mm: float, real: float, gross: float) -> list[str]:
+def check_sparse_ridges(border_mm: float, real: float, gross: float) -> Iterator[str]:
     """Return a warning if ridges cover so little of the contact that its border is uncertain by `border_mm`."""
-    if border_mm < _RIM_MM:
-        return []
-    return [
-        f"ridges cover {real / gross:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, and "
-        f"areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
-    ]
+    if border_mm >= _RIM_MM:
+        yield (
+            f"ridges cover {real / gross:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, "
+            f"and areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
+        )
 
 
-def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> list[str]:
+def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> Iterator[str]:
     """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
     mm^2 is its area without that rim, which has gaps where `radius_px` is below half the distance between ridges.
     """
     narrow = radius_px < period_px / 2
     if width_mm < (0.75 if narrow else 1) * _RIM_MM:  # a small radius hides half of such a rim: 0.2 mm were 0.09
-        return []
+        return
     more = (1 + width_mm / np.sqrt(gross / np.pi)) ** 2 - 1
     half = f" set [contact] gross_radius_px ({radius_px}) to half the ridge distance, {np.ceil(period_px / 2):g},"
-    return [
+    yield (
         f"the contact is faint at its rim: its border may lie {width_mm:.2f} mm further out. Areas, ellipse, onsets "
         f"and what counts from them are those of the part inside; the gross area may be {more:.0%} larger. Set "
         f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there,{half if narrow else ''} clean the "
         f"glass, or press harder"
-    ]
+    )
 
 
-def check_background_lines(light: Picture) -> list[str]:
+def check_background_lines(light: Picture) -> Iterator[str]:
     """Return a warning if rows of the background image `light` differ in brightness from the rows beside them, as in a
     torn picture.
     """
     full = _full_light(light)
     if not full > 0:
-        return []
+        return
     bright = np.maximum(light, 0.02 * full)
     lighter = np.maximum(bright[1:], bright[:-1])
     lit, step = lighter > 0.3 * full, lighter > _STEP * np.minimum(bright[1:], bright[:-1])
     count = np.count_nonzero(lit, 1)
     # The median step is above _STEP if more than half of the steps are.
     torn = (count > 0.25 * light.shape[1]) & (2 * np.count_nonzero(lit & step, 1) > count)
-    if not torn.any():
-        return []
-    row = int(np.argmax(torn)) + 1
-    return [
-        f"lines of the background differ in light from the lines beside them, from row {row} of the contact view on: "
-        f"a picture of it is torn or has lines of zeros, and no contact is seen there. Record the empty glass again"
-    ]
+    if torn.any():
+        row = int(np.argmax(torn)) + 1
+        yield (
+            f"lines of the background differ in light from the lines beside them, from row {row} of the contact view "
+            f"on: a picture of it is torn or has lines of zeros, and no contact is seen there. Record the empty glass "
+            f"again"
+        )
 
 
-def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, away: Picture) -> list[str]:
+def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, away: Picture) -> Iterator[str]:
     """Return a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
     bump that moved camera or glass.
 
@@ -218,28 +213,25 @@ def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, awa
     smooth = _smooth(light)
     y, x = _edges_of_glass(smooth, away)
     if len(y) < _EDGE_PX:
-        return []
+        return
     for number, frame in frames:
         shift, better = _shift_of_glass(_smooth(frame)[y, x], smooth, y, x)
         if np.hypot(*shift) >= _MOVED_PX and better < _BETTER:
-            return [
+            yield (
                 f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame "
                 f"{number} ({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and "
                 f"edges of the light count as contact. Record the empty glass again, or leave these frames out"
-            ]
-    return []
+            )
+            return
 
 
 def described(frame: Picture, light: Picture, number: int) -> str:
     """Return a sentence that says what a frame in which no finger was detected shows instead, such as a torn background
     or moved glass; "" if nothing is found.
     """
-    for known_cause in (
-        check_background_lines(light),
-        check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf)),
-    ):
-        if known_cause:
-            return known_cause[0]
+    moved = check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf))
+    for known_cause in (*check_background_lines(light), *moved):
+        return known_cause
     share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
     rows, columns = (side // _SIDE for side in share.shape)
     cut = share[: rows * _SIDE, : columns * _SIDE].reshape(rows, _SIDE, columns, _SIDE)

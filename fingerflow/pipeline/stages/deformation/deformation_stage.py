@@ -2,13 +2,13 @@
 fields by local fits, and medians over the gross contact.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fingerflow.engines.engine import EnteredPoints, FrameEllipse
+from fingerflow.engines.engine import FrameEllipse
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
+from fingerflow.pipeline.stages.preparation.reference import resolve_reference
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
@@ -82,42 +82,24 @@ class DeformationStage(Stage):
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
-    reference_of: Reference
-    entered: NDArray[np.intp]
-    by_onsets: bool
-    common_position: Points
-    last: int
-    seeded: NDArray[np.intp]
-    some_later: bool
-    begins: NDArray[np.int32]
-    onset: NDArray[np.int32]
-    reference: Points
-    reference_px: Points
-    noise: Points
-    onset_variance: Points
-    of_onset: Points
-
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
-        self._vector, self._vector_std = np.full((2, len(trial), 2), np.nan)
-        self._printed = np.full(len(trial), np.nan)
-        self._fixed: _Fixed | None = None  # positions in the reference frame; None if displacement counts from onsets
         self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
         self._median, self._variance = np.full((2, len(trial), 5), np.nan)
-        self._residual, self._known = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
-        self._usable = self.trial.stage(FrameCheckStage).usable
         inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
         status = self.results["frame_status"][:]
         self.reference_of = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
         self._attributes = self.reference_of.attributes(first_frame)
+        then = self.reference_of.frame
+        self.by_onsets = then is None
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
-        usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
+        usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
         common, self.seeded = common_frame(self.results["position"], self.results["status"], first, backward)
         self._later = self.seeded != first
@@ -129,13 +111,13 @@ class DeformationStage(Stage):
             if shaken_px:
                 counted = "displacement and strain are those without this motion, positions those with it"
                 self.warnings.append(vibration_warning(shaken_px, counted))
-        if self.reference_of.frame is not None:
-            then = self.reference_of.frame
-            noise = self.results["position_noise_px"][then : then + 1][0]
-            self._fixed = _Fixed(
-                self.steady_position(np.array([then]))[0], self.results["position_px"][then : then + 1][0], noise
+        if then is not None:
+            # Positions of all points, and their standard deviations, in the frame from which displacement counts.
+            self._fixed = self.steady_position(np.array([then]))[0]
+            self._fixed_px, self._fixed_noise_px = (
+                self.results[name][then : then + 1][0] for name in ("position_px", "position_noise_px")
             )
-        border = FrameEllipse.from_series(self.trial.stage(ContactStage).series)
+        border = FrameEllipse(*(self.results[f"ellipse_{part}"][:] for part in FrameEllipse._fields))
         self.border = self._onset_border = border._replace(center=border.center - self._shaken)
         self._dilated = inputs.scene.fields.reference == "dilated_onset"
         if self._dilated:
@@ -144,18 +126,17 @@ class DeformationStage(Stage):
         begin = int(usable[0])
         here = self.steady_position(np.array([begin]))
         depth = self._onset_border.select(slice(begin, begin + 1)).inside(here)[0]
-        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & (self._fixed is None))
+        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & self.by_onsets)
         self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
         self._curvature_then = np.zeros(points, np.float32)
-        if self.reference_of.frame is not None:
-            then_px2 = self._skin(np.array([self.reference_of.frame])).curvature[0]
-            self._curvature_then = then_px2 * np.float32(self.mm_per_px**2)
+        if then is not None:
+            self._curvature_then = self._skin(np.array([then])).curvature[0] * np.float32(self.mm_per_px**2)
         self._find_onsets()
-        moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
+        moves_in = np.zeros(points, dtype=bool)
         if self.by_onsets:
             if pressed:
-                gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+                gross = self.results["gross_contact_area"][:]
                 self.warnings.extend(plausibility.check_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
@@ -191,7 +172,7 @@ class DeformationStage(Stage):
             self.results.create(name, self._gauge)
         if "rigid_residual" in self.trial.requested:
             self.results.create("rigid_residual")
-        minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
+        minor = self.border.semi_axes[:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
         self.warnings.extend(plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest))
         # Neighbours by where points were seeded: positions of entry lie on a line.
@@ -214,10 +195,12 @@ class DeformationStage(Stage):
         now = self._deformation.step(self._skin(frames), self)
         self.results["displacement"][frames] = now.since.displacement
         self.results["displacement_std"][frames] = np.sqrt(now.square)  # root mean square error of a component
-        self._vector[frames], self._vector_std[frames] = now.vector, now.vector_std
-        if "printed_global_displacement" in self.trial.requested:
+        self.series["global_displacement_vector"][frames] = now.vector
+        self.series["global_displacement_vector_std"][frames] = now.vector_std
+        if "printed_global_displacement" in self.series:
             # Component by component (the lab's script takes the x median twice).
-            self._printed[frames] = np.linalg.norm(nanmedian(now.since.displacement), axis=1)
+            median = nanmedian(now.since.displacement)
+            self.series["printed_global_displacement"][frames] = np.linalg.norm(median, axis=1)
         for name in self._stated:
             self.results[name][frames] = getattr(now.fields, name)
         reference, moved = (self.inputs.tensor(values) for values in (self.reference[None], now.lasting.displacement))
@@ -227,9 +210,10 @@ class DeformationStage(Stage):
         across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
         # Three points, moved rigidly, leave hardly a residual.
         enough = (np.isfinite(across).sum(1) > 3) & (now.fields.known_share >= LEAST_SHARE)
-        self._residual[frames] = np.where(enough, nanmedian(np.sqrt(across * across + down * down)), np.nan)
-        self._known[frames], self._median[frames] = now.fields.known_share, now.fields.median
-        self._variance[frames] = now.variance
+        median = nanmedian(np.sqrt(across * across + down * down))
+        self.series["rigid_residual_median"][frames] = np.where(enough, median, np.nan)
+        self.series["field_coverage"][frames] = now.fields.known_share
+        self._median[frames], self._variance[frames] = now.fields.median, now.variance
         return now.lasting
 
     def since(self, skin: SkinFrames) -> Displacement:
@@ -244,50 +228,33 @@ class DeformationStage(Stage):
         curvature = abs(skin.curvature * np.float32(self.mm_per_px**2) - self._curvature_then)
         entered, late = None, np.zeros((2, len(self.reference)))
         if self._entry is not None:
-            entered = self._gradients_since_entry(self._entry, frames)  # sets `late` of points that enter
-            late[:, self.entered] = variance_of_late(self._entry.late)
+            spread = self.tracked_variance(frames, "position_std_px")
+            entered = self._entry.update(frames, self.results["position"][frames], spread)
+            late[:, self.entered] = variance_of_late(self._entry.late)  # of points that have entered by now
         more = self.of_onset, self._gain, entered, late, unseen, passing
         return Displacement(self.reference, moved, noise, curvature, *more)
 
-    def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative
-        to its position on entry, with covariances; NaN for all other points.
-        """
-        among = np.zeros((len(frames), len(self.onset)), dtype=bool)
-        among[:, self.entered] = True
-        gradient = np.full((*among.shape, 2, 2), np.nan, np.float32)
-        covariance = np.full((*among.shape, 2, 2, 2, 2), np.nan, np.float32)
-        gradient[:, self.entered], covariance[:, self.entered] = entry.update(
-            frames, self.results["position"][frames], self.tracked_variance(frames)
-        )
-        return EnteredPoints(among, gradient, covariance)
-
     def finish(self) -> None:
-        length, length_std = displacement_length(self._vector, self._vector_std)
-        self.results.put("global_displacement_vector", self._vector, self._attributes)
-        self.results.put("global_displacement_vector_std", self._vector_std)
-        self.results.put("global_displacement", length, self._attributes)
-        self.results.put("global_displacement_std", length_std)
-        if "printed_global_displacement" in self.trial.requested:
-            self.results.put("printed_global_displacement", self._printed, self._attributes)
-        self.results.put("rigid_residual_median", self._residual)
-        self.results.put("field_coverage", self._known)
+        vector, vector_std = (self.series[f"global_displacement_vector{of}"] for of in ("", "_std"))
+        length, length_std = displacement_length(vector, vector_std)
+        self.series |= {"global_displacement": length, "global_displacement_std": length_std}
+        for name in ("global_displacement_vector", "global_displacement", "printed_global_displacement"):
+            self.about[name] = self._attributes
         median_std = np.sqrt(self._variance + self._bias())
         times, window = self.inputs.times, self._settings.rate_window_s
-        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
-        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        self.results.put("median_divergence", self._median[:, 0], self._gauge)
-        self.results.put("median_divergence_std", median_std[:, 0])
-        self.results.put("median_curl", self._median[:, 1], self._gauge)
-        self.results.put("median_curl_std", median_std[:, 1])
-        self.results.put("median_strain", self._median[:, 2:], self._gauge | {"measure": self._settings.strain})
-        self.results.put("median_strain_std", median_std[:, 2:])
         rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
-        self.results.put("median_divergence_rate", rates[:, 0])
-        self.results.put("median_divergence_rate_std", rates_std[:, 0])
-        self.results.put("median_strain_rate", rates[:, 2:])
-        self.results.put("median_strain_rate_std", rates_std[:, 2:])
+        for columns, names in (
+            (0, ("median_divergence", "median_divergence_std", "median_divergence_rate", "median_divergence_rate_std")),
+            (1, ("median_curl", "median_curl_std")),
+            (slice(2, None), ("median_strain", "median_strain_std", "median_strain_rate", "median_strain_rate_std")),
+        ):
+            self.about[names[0]] = self._gauge
+            for name, values in zip(names, (self._median, median_std, rates, rates_std), strict=False):
+                self.series[name] = values[:, columns]
+        self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
+        gross, known = self.results["gross_contact_area"][:], self.series["field_coverage"]
+        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.check_fields(self._median[:, 0], known, gross, gauge, first_frame))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated
@@ -304,7 +271,7 @@ class DeformationStage(Stage):
                 values[:] = np.interp(frames, number, variance)
         return result
 
-    def tracked_variance(self, indices: NDArray[np.intp], name: str = "position_std_px") -> NDArray[np.float32]:
+    def tracked_variance(self, indices: NDArray[np.intp], name: str) -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
         is the result variable of the standard deviation.
         """
@@ -339,11 +306,11 @@ class DeformationStage(Stage):
         self.reference_px = self.inputs.geometry.on_topography(self.reference)
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
-        if self._fixed is not None:
+        if not self.by_onsets:
             self.onset = np.where(stays, touch.start, -1).astype(np.int32)
             self.begins = np.full_like(self.onset, self.reference_of.frame)
-            self.reference = np.where(touched[:, None], self._fixed.position, np.nan)
-            self.reference_px = np.where(touched[:, None], self._fixed.position_px, np.nan)
+            self.reference = np.where(touched[:, None], self._fixed, np.nan)
+            self.reference_px = np.where(touched[:, None], self._fixed_px, np.nan)
 
     def _warn_of_unknown(self) -> None:
         touching = self.onset >= 0
@@ -363,22 +330,16 @@ class DeformationStage(Stage):
         border = self._onset_border.select(indices)
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
-        usable = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
-        if len(usable) == len(indices):
-            touching = touch.add_frames(indices, covered, position, variance, border)
-        else:
-            unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
-            touching = Touching(np.full_like(position, np.nan), *unknown, *none)
-            if len(usable):
-                frames = indices[usable]
-                gone_on = touch.add_frames(
-                    frames, covered[usable], position[usable], variance[usable], border.select(usable)
-                )
-                for whole, part in zip(touching, gone_on, strict=True):
-                    whole[usable] = part
-        if self._fixed is not None:
-            reference = np.where(touching.touching[..., None], self._fixed.position, np.nan)
-            exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
+        usable = np.flatnonzero(self.usable[indices])  # an unusable frame does not end a touch
+        unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
+        touching = Touching(np.full_like(position, np.nan), *unknown, *none)
+        if len(usable):
+            part = indices[usable], covered[usable], position[usable], variance[usable], border.select(usable)
+            for whole, values in zip(touching, touch.add_frames(*part), strict=True):
+                whole[usable] = values
+        if not self.by_onsets:
+            reference = np.where(touching.touching[..., None], self._fixed, np.nan)
+            exact = np.broadcast_to(self._fixed_noise_px**2, variance.shape)
             begins = np.broadcast_to((indices == self.reference_of.frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)
@@ -418,16 +379,6 @@ class DeformationStage(Stage):
         """Return the positions (n, N, 2) mm of the points in n frames, without the vibration of the image."""
         position: Points = self.results["position"][indices] - self._shaken[indices, None]
         return position
-
-
-class _Fixed(NamedTuple):
-    """Positions of all points, and their standard deviations, in the one frame from which displacement is counted for
-    all points; NaN for points not tracked in it.
-    """
-
-    position: Points  # (N, 2) mm, positions
-    position_px: Points
-    deviation_px: NDArray[np.float32]  # (N,) px, standard deviations of the positions
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:

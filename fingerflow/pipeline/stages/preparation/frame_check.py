@@ -1,7 +1,6 @@
 """Detection of unusable frames: dark, saturated, repeated, torn, unreadable or noise."""
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
@@ -28,9 +27,6 @@ class FrameCheckStage(Stage):
 
     An unusable frame is part of no result: its values are NaN, and results before and after it are as if it had not
     been recorded.
-
-    Attributes:
-        usable: (frames,) bool; set when the stage has finished.
     """
 
     name = "frame_check"
@@ -39,8 +35,6 @@ class FrameCheckStage(Stage):
     reads_frames = True
     settings = ("background", "contact.appears", "views.contact", "views.topography", "recording.first_frame")
     restored = True
-
-    usable: NDArray[np.bool_]
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -77,10 +71,6 @@ class FrameCheckStage(Stage):
             self._before[k] = samples.last(LONGEST + 1, self._before[k])
         self._keys += map(frame_key, zip(*view_blocks, strict=True))
 
-    def restore(self, earlier: xr.Dataset) -> None:
-        super().restore(earlier)
-        self.usable = earlier["frame_status"].values == USABLE
-
     def finish(self) -> None:
         """Set the status of each frame, and warn of unusable frames.
 
@@ -102,7 +92,6 @@ class FrameCheckStage(Stage):
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
         status[jumps_and_returns(distances, status == USABLE)] = JUMPS
-        self.usable = status == USABLE
         self.results.put("frame_status", status)
         faults = [(meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1)]
         faults = [(meaning, frames) for meaning, frames in faults if len(frames)]
@@ -119,7 +108,7 @@ class FrameCheckStage(Stage):
                 f"{self.inputs.recording.path}: the decoder reported errors at {_listed(numbers)} "
                 f"({doubtful[min(doubtful)]}); their pixels may be wrong: copy the file again"
             )
-        if not self.usable.any():
+        if not (status == USABLE).any():
             counts = ", ".join(f"{len(frames)} {meaning}" for meaning, frames in faults)
             raise FingerflowError(
                 f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "

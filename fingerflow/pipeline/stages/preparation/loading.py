@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
-from fingerflow.pipeline.stages.stage import RunContext, Stage
+from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings import Forces, open_forces
 from fingerflow.recordings.forces.newtons import Sensor, to_newtons
 from fingerflow.schema.scene import ForceSettings
@@ -29,22 +28,13 @@ Series = NDArray[np.float64]
 class LoadingStage(Stage):
     """Stage that reads the forces of a scene, aligns them to the trigger and resamples them at the times of the frames.
 
-    Attributes:
-        normal: (frames,) N, NaN outside the force recording; None where the scene has no forces.
-        tangential: as `normal`; the magnitude where there are two components.
-        direction: (frames,) rad, `tangential_direction`.
+    They are NaN outside the force recording.
     """
 
     name = "loading"
     gives = LOADING
     settings = ("kind", "forces", "recording.times", "recording.trigger_frame")
     restored = True
-
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
-        self.normal: Series | None = None
-        self.tangential: Series | None = None
-        self.direction: Series | None = None
 
     def begin(self) -> None:
         settings, inputs = self.inputs.scene.forces, self.inputs
@@ -86,13 +76,17 @@ class LoadingStage(Stage):
                 )
         self._check_frames(settings.file, values["normal_force"], *extremes)
         if travel:
-            self.results.put("actuator_position", 1e3 * values["actuator_position"])
-        self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
+            self.series["actuator_position"] = 1e3 * values["actuator_position"]
+        normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
+        self.series["normal_force"] = normal
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
             # Take the magnitude of filtered components: with unfiltered ones noise biases it where the force is near 0.
-            self.tangential = np.hypot(x, y) if len(components) == 2 else x
-            self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
+            tangential, pressed = np.hypot(x, y) if len(components) == 2 else x, normal > _LEAST_NORMAL
+            direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
+            ratio = np.where(pressed, tangential / np.where(pressed, normal, 1), np.nan)
+            self.series |= {"tangential_force": tangential, "tangential_direction": direction}
+            self.series |= {"load_ratio": ratio, "force_angle": np.arctan(ratio)}
 
     def _check_frames(self, file: Path, normal: Series, lowest: float, highest: float) -> None:
         """Warn of implausibly large forces, and of recordings that begin when the finger already presses."""
@@ -106,33 +100,6 @@ class LoadingStage(Stage):
                 "count: they begin in contact. Lower recording.first_frame, or check recording.trigger_frame and "
                 "forces.trigger_level"
             )
-
-    def finish(self) -> None:
-        ratio = self.ratio
-        series = {
-            "normal_force": self.normal,
-            "tangential_force": self.tangential,
-            "tangential_direction": self.direction,
-            "load_ratio": ratio,
-            "force_angle": None if ratio is None else np.arctan(ratio),
-        }
-        for name, values in series.items():
-            if values is not None:
-                self.results.put(name, values)
-
-    def restore(self, earlier: xr.Dataset) -> None:
-        super().restore(earlier)
-        names = ("normal_force", "tangential_force", "tangential_direction")
-        series = {name: earlier[name].values for name in names if name in earlier}
-        self.normal, self.tangential, self.direction = map(series.get, names)
-
-    @property
-    def ratio(self) -> Series | None:
-        """Return the ratio (frames,) of tangential to normal force; NaN for normal forces below 0.05 N."""
-        if self.normal is None or self.tangential is None:
-            return None
-        pressed = self.normal > _LEAST_NORMAL
-        return np.where(pressed, self.tangential / np.where(pressed, self.normal, 1), np.nan)
 
 
 def _channels(settings: ForceSettings) -> dict[str, str | int]:

@@ -1,4 +1,6 @@
-"""Plausibility checks of results and settings; each check returns warnings that state a remedy."""
+"""Plausibility checks of results and settings; each check yields warnings that state a remedy."""
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,146 +44,131 @@ _BRIGHTER_SHARE = 0.005
 Series = NDArray[np.float64]
 
 
-def check_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
+def check_scale(mm_per_px: float, shape: tuple[int, int]) -> Iterator[str]:
     """Return a warning if the image scale makes a contact view of (rows, columns) px implausibly wide."""
     wide = mm_per_px * shape[1]
-    if _NARROWEST_MM <= wide <= _WIDEST_MM:
-        return []
-    return [
-        f"calibration.mm_per_px = {mm_per_px:g} makes the contact view {wide:.3g} mm wide, as no view of a fingertip "
-        f"is: check the scale, or the radius of the ring's hole that it was measured by"
-    ]
+    if not _NARROWEST_MM <= wide <= _WIDEST_MM:
+        yield (
+            f"calibration.mm_per_px = {mm_per_px:g} makes the contact view {wide:.3g} mm wide, as no view of a "
+            f"fingertip is: check the scale, or the radius of the ring's hole that it was measured by"
+        )
 
 
-def check_ridges(period_px: float, mm_per_px: float) -> list[str]:
+def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
     """Return a warning if the ridge period (px) at the calibrated image scale is not that of a finger; none for NaN."""
     period, (least, most) = period_px * mm_per_px, _RIDGE_MM
-    if not np.isfinite(period) or least <= period <= most:
-        return []
-    return [
-        f"calibration.mm_per_px = {mm_per_px:g} puts the ridges {period:.2g} mm apart, and those of fingers are "
-        f"{least:g} to {most:g} mm apart: the scale is wrong by a factor, as if a diameter were taken for a radius. "
-        f"Lengths, areas and pressures are wrong with it; calibrate again"
-    ]
+    if np.isfinite(period) and not least <= period <= most:
+        yield (
+            f"calibration.mm_per_px = {mm_per_px:g} puts the ridges {period:.2g} mm apart, and those of fingers are "
+            f"{least:g} to {most:g} mm apart: the scale is wrong by a factor, as if a diameter were taken for a "
+            f"radius. Lengths, areas and pressures are wrong with it; calibrate again"
+        )
 
 
-def check_views(offset_px: float, mm_per_px: float) -> list[str]:
-    """Return a warning if the calibration maps the ridges of the topography view `offset_px` px beside the same ridges
-    in the contact view; none for 0.
-    """
-    if not offset_px:
-        return []
-    return [
-        f"calibration.topography_to_contact puts the ridges of the topography view {offset_px:.2g} px "
-        f"({offset_px * mm_per_px:.2g} mm) beside those of the contact view: it is inverted, that of another setup, or "
-        f"left out. Onsets and fields are those of skin elsewhere; calibrate the views again"
-    ]
-
-
-def check_mirrored(mirroring: str) -> list[str]:
+def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[str]:
     """Return a warning if the topography view shows the ridges of the contact view only when turned over by
-    `mirroring`, as `ridges.compare_views` returns it.
+    `mirroring`, or if the calibration maps them `offset_px` px beside these; both are of `ridges.compare_views`.
     """
-    if not mirroring:
-        return []
-    return [
-        f"the topography view is mirrored: it shows the ridges of the contact view only if turned over {mirroring}, "
-        f"and calibration.topography_to_contact does not. Onsets are those of skin elsewhere, displacement has the "
-        f"wrong sign, and so has curl unless both axes are turned; calibrate the views again"
-    ]
+    if mirroring:
+        yield (
+            f"the topography view is mirrored: it shows the ridges of the contact view only if turned over "
+            f"{mirroring}, and calibration.topography_to_contact does not. Onsets are those of skin elsewhere, "
+            f"displacement has the wrong sign, and so has curl unless both axes are turned; calibrate the views again"
+        )
+    elif offset_px:
+        yield (
+            f"calibration.topography_to_contact puts the ridges of the topography view {offset_px:.2g} px "
+            f"({offset_px * mm_per_px:.2g} mm) beside those of the contact view: it is inverted, that of another "
+            f"setup, or left out. Onsets and fields are those of skin elsewhere; calibrate the views again"
+        )
 
 
-def check_clipped(view: str, counts: NDArray[np.number]) -> list[str]:
+def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
     """Return a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
     level = int(counts.max())
     share = float((counts == level).mean())
-    if share <= _CLIPPED or level < 255 or level & (level + 1):
-        return []
-    return [
-        f"{share:.0%} of the {view} view is saturated: its grey level is {level}, the largest there is. Texture and "
-        f"loss of light are not seen there, and points and areas are wrong. Lower exposure, gain or light"
-    ]
+    if share > _CLIPPED and level >= 255 and not level & (level + 1):
+        yield (
+            f"{share:.0%} of the {view} view is saturated: its grey level is {level}, the largest there is. Texture "
+            f"and loss of light are not seen there, and points and areas are wrong. Lower exposure, gain or light"
+        )
 
 
-def check_contrast(brighter: float, darker: float, appears: str, moment: str) -> list[str]:
+def check_contrast(brighter: float, darker: float, appears: str, moment: str) -> Iterator[str]:
     """Return a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
     other way round.
 
     `brighter` and `darker` are shares of that frame's pixels beside the empty glass, after the negative of bright
     contact was taken; `moment` says in words which frame it is.
     """
-    if not (brighter > _BRIGHTER_SHARE and brighter > darker):
-        return []
-    opposite, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
-    return [
-        f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} changed as "
-        f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
-        f'contact.appears = "{opposite}" if the finger is there'
-    ]
+    if brighter > _BRIGHTER_SHARE and brighter > darker:
+        opposite, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
+        yield (
+            f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} "
+            f"changed as "
+            f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
+            f'contact.appears = "{opposite}" if the finger is there'
+        )
 
 
-def check_exposure(brighter: float, darker: float, frame: int) -> list[str]:
+def check_exposure(brighter: float, darker: float, frame: int) -> Iterator[str]:
     """Return a warning if most pixels of the first usable frame are brighter, or darker, than the empty glass."""
-    if max(brighter, darker) <= _ALL_CHANGED:
-        return []
-    share, change = max((brighter, "brighter"), (darker, "darker"))
-    return [
-        f"frame {frame} is {change} than background.frames in {share:.0%} of the contact view: the empty glass was "
-        f"recorded at another exposure, gain or light, or the recording begins in full contact. Contact and areas are "
-        f"wrong; record the empty glass again with the camera settings of the recording, and check [views.contact]"
-    ]
+    if max(brighter, darker) > _ALL_CHANGED:
+        share, change = max((brighter, "brighter"), (darker, "darker"))
+        yield (
+            f"frame {frame} is {change} than background.frames in {share:.0%} of the contact view: the empty glass was "
+            f"recorded at another exposure, gain or light, or the recording begins in full contact. Contact and areas "
+            f"are wrong; record the empty glass again with the camera settings of the recording, and check "
+            f"[views.contact]"
+        )
 
 
-def check_background(brighter: float, frame: int) -> list[str]:
+def check_background(brighter: float, frame: int) -> Iterator[str]:
     """Return a warning if a large share `brighter` of the pixels in a frame is brighter than without a finger."""
-    if not brighter > _BRIGHTER_SHARE:
-        return []
-    return [
-        f"background.frames is darker than frame {frame} in {brighter:.1%} of the contact view, as if a finger or dirt "
-        f"were on the glass, or the light another: contact there is not seen. Record the empty glass again"
-    ]
+    if brighter > _BRIGHTER_SHARE:
+        yield (
+            f"background.frames is darker than frame {frame} in {brighter:.1%} of the contact view, as if a finger or "
+            f"dirt were on the glass, or the light another: contact there is not seen. Record the empty glass again"
+        )
 
 
-def check_young_modulus(modulus_mpa: float) -> list[str]:
+def check_young_modulus(modulus_mpa: float) -> Iterator[str]:
     """Return a warning if a Young's modulus is implausible for skin."""
     least, most = _YOUNG_MPA
-    if least <= modulus_mpa <= most:
-        return []
-    return [
-        f"fields.young_modulus_mpa = {modulus_mpa:g} is outside the {least:g} to {most:g} MPa of skin: give MPa, not "
-        f"kPa or Pa. Strain energies are proportional to it"
-    ]
+    if not least <= modulus_mpa <= most:
+        yield (
+            f"fields.young_modulus_mpa = {modulus_mpa:g} is outside the {least:g} to {most:g} MPa of skin: give MPa, "
+            f"not kPa or Pa. Strain energies are proportional to it"
+        )
 
 
-def check_force(normal: Series) -> list[str]:
+def check_force(normal: Series) -> Iterator[str]:
     """Return a warning if a normal force (frames,) N exceeds what a finger can exert."""
     peak = float(np.nanmax(normal, initial=0.0))
-    if peak <= _MOST_FORCE:
-        return []
-    return [
-        f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in mN "
-        f"or g? Give [forces] units, or check gain"
-    ]
+    if peak > _MOST_FORCE:
+        yield (
+            f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in "
+            f"mN or g? Give [forces] units, or check gain"
+        )
 
 
-def check_pressure(normal: Series, gross: Series) -> list[str]:
+def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
     """Return a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
     touching = np.isfinite(normal) & (gross > 0)
     if not touching.any():
-        return []
+        return
     frame = int(np.argmax(np.where(touching, normal, -np.inf)))
     force, area, (least, most) = float(normal[frame]), float(gross[frame]), _PRESSURE_KPA
     pressure = 1000 * force / area
-    if least <= pressure <= most:
-        return []
-    return [
-        f"the largest normal force, {force:,.3g} N on {area:.3g} mm², is a mean pressure of {pressure:,.3g} kPa, and "
-        f"that of fingertips is {least:g} to {most:g} kPa: check [forces] units (mN, g) and gain, and "
-        f"calibration.mm_per_px"
-    ]
+    if not least <= pressure <= most:
+        yield (
+            f"the largest normal force, {force:,.3g} N on {area:.3g} mm², is a mean pressure of {pressure:,.3g} kPa, "
+            f"and that of fingertips is {least:g} to {most:g} kPa: check [forces] units (mN, g) and gain, and "
+            f"calibration.mm_per_px"
+        )
 
 
-def check_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
+def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str]:
     """Return a warning if contact (gross areas in mm^2) and normal force (N) do not begin in the same frame.
 
     Force without contact counts everywhere; contact without force only until the force is largest, as skin that lets go
@@ -189,7 +176,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
     """
     measured = np.isfinite(normal) & np.isfinite(gross)
     if not measured.any() or not (gross[measured] > 0).any():
-        return []
+        return
     force, area = np.where(measured, normal, 0.0), np.where(measured, gross, 0.0)
     peak, largest = float(force.max()), float(area.max())
     nothing = measured & (area == 0)
@@ -201,62 +188,60 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
     )
     if pressing.any():
         frame = int(np.argmax(np.where(pressing, np.abs(force), 0)))
-        return [
+        yield (
             f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
             f"{int(pressing.sum())} frames): {cause}"
-        ]
+        )
+        return
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
     light = measured & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
     unloaded = np.where(light, area, 0.0)
     frame = int(np.argmax(unloaded))
-    if peak < 10 * noise or unloaded[frame] <= _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
-        return []
-    return [
-        f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the normal "
-        f"force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
-    ]
+    if peak >= 10 * noise and unloaded[frame] > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
+        yield (
+            f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the "
+            f"normal force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
+        )
 
 
-def check_growth(normal: Series, gross: Series) -> list[str]:
+def check_growth(normal: Series, gross: Series) -> Iterator[str]:
     """Return a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
     measured = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
     last = measured[-(len(measured) // 10) :]
     if len(last) < _BESIDE:
-        return []
+        return
     parts = np.array_split(last, 3)
     (force, more), (area, larger) = ([float(series[part].mean()) for part in parts[::2]] for series in (normal, gross))
-    if force <= _NOISE or area <= 0 or more < _RISES * force or larger > area * (more / force) ** _FOLLOWS:
-        return []
-    return [
-        f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
-        f"({larger:.3g} mm²): the force is of an earlier moment, or the contact fills the view. Check "
-        f"recording.frame_rate and trigger_frame, and [views.contact]"
-    ]
+    if force > _NOISE and area > 0 and more >= _RISES * force and larger <= area * (more / force) ** _FOLLOWS:
+        yield (
+            f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
+            f"({larger:.3g} mm²): the force is of an earlier moment, or the contact fills the view. Check "
+            f"recording.frame_rate and trigger_frame, and [views.contact]"
+        )
 
 
-def check_beginning(gross: Series, first_frame: int) -> list[str]:
+def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     """Return a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
     measured = np.flatnonzero(np.isfinite(gross))
     if not len(measured):
-        return []
+        return
     first, largest = float(gross[measured[0]]), float(gross[measured].max())
-    if first <= _STARTS * largest or largest <= _GROWS * first:
-        return []
-    return [
-        f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
-        f"{measured[0] + first_frame}. Skin there has no onset, and its displacement and strain lack what came before: "
-        f"lower recording.first_frame, record earlier, or give fields.reference"
-    ]
+    if first > _STARTS * largest and largest > _GROWS * first:
+        yield (
+            f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
+            f"{measured[0] + first_frame}. Skin there has no onset, and its displacement and strain lack what came "
+            f"before: lower recording.first_frame, record earlier, or give fields.reference"
+        )
 
 
-def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> list[str]:
+def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> Iterator[str]:
     """Return a warning if the gross area (mm^2) jumps between two successive frames, as if frames were missing.
 
     A step of the force (N) by as large a share is a real one.
     """
     step, largest = np.abs(np.diff(gross)), float(np.nanmax(gross, initial=0.0))
     if len(step) <= 2 * _BESIDE or not largest > 0:
-        return []
+        return
     around = np.lib.stride_tricks.sliding_window_view(step, 2 * _BESIDE + 1)
     usual = np.max([np.median(steps, axis=1) for steps in (around[:, :_BESIDE], around[:, _BESIDE + 1 :])], axis=0)
     touching = np.lib.stride_tricks.sliding_window_view(gross, 2 * _BESIDE + 2).min(1) > 0
@@ -266,57 +251,54 @@ def check_missing_frames(gross: Series, normal: Series | None, first_frame: int)
         by_force = np.abs(np.diff(normal))[_BESIDE:-_BESIDE] / max(float(np.nanmax(normal, initial=0.0)), 1e-9)
         jumps &= ~(by_force > steps / largest / 2)
     frames = np.flatnonzero(jumps) + _BESIDE
-    if not len(frames):
-        return []
-    frame = frames[0]
-    return [
-        f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
-        f"{frame + first_frame} and {frame + 1 + first_frame}, {step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} "
-        f"times as far as in the frames around: frames may be missing there, and all times after it be wrong, or a "
-        f"second contact merges with the first. Copy the recording again, give one whose file has time stamps, or "
-        f"leave the other contact out by views.contact.region"
-    ]
+    if len(frames):
+        frame = frames[0]
+        yield (
+            f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
+            f"{frame + first_frame} and {frame + 1 + first_frame}, "
+            f"{step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} times as far as in the frames around: frames may "
+            f"be missing there, and all times after it be wrong, or a second contact merges with the first. Copy the "
+            f"recording again, give one whose file has time stamps, or leave the other contact out by "
+            f"views.contact.region"
+        )
 
 
-def check_frames(frames: int) -> list[str]:
+def check_frames(frames: int) -> Iterator[str]:
     """Return a warning if a recording has only one selected frame."""
-    if frames > 1:
-        return []
-    return ["one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"]
+    if frames <= 1:
+        yield "one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"
 
 
-def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
+def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> Iterator[str]:
     """Return warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
 
     `view_area` is the area of the view, mm^2. Of a contact that has less than a few ridges, the deviation of the gross
     area says so.
     """
-    warnings = []
     more = np.flatnonzero((real > gross) & (gross > _FEW_RIDGES_MM2))
     if len(more):
         frame = more[0]
-        warnings.append(
+        yield (
             f"in {len(more)} frames, the first is {frame + first_frame}, the real contact area is larger than the "
-            f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm²), of which it is a part: "
-            f"contact.gross_radius_px = {radius_px} is less than half the distance between ridges"
+            f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm²), of which it is a part: contact.gross_radius_px "
+            f"= {radius_px} is less than half the distance between ridges"
         )
     measured = np.flatnonzero(np.isfinite(gross))
     jumps = np.flatnonzero(np.abs(np.diff(gross[measured])) > _JUMP * view_area)
     if len(jumps):
         before, after = measured[jumps[0]], measured[jumps[0] + 1]
-        warnings.append(
+        yield (
             f"the gross contact area jumps from {gross[before]:.3g} to {gross[after]:.3g} mm² between frames "
             f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
             f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
             f"recording.first_frame and last_frame"
         )
-    return warnings
 
 
-def check_points(seeded: int, requested: int, min_distance_px: float, region_px: int) -> list[str]:
+def check_points(seeded: int, requested: int, min_distance_px: float, region_px: int) -> Iterator[str]:
     """Return a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
     if seeded >= _FEW_FOUND * requested:
-        return []
+        return
     # Upper bound of the number of points: one for each square of side `min_distance_px`.
     room = round(region_px / min_distance_px**2)
     if room < requested:
@@ -329,73 +311,57 @@ def check_points(seeded: int, requested: int, min_distance_px: float, region_px:
             f"the region of {region_px} px has room for {room}, but no more corners stand out of the noise. Check "
             f"focus and light, or ask for fewer in tracking.points"
         )
-    return [f"{seeded} of {requested} points were found: {why}"]
+    yield f"{seeded} of {requested} points were found: {why}"
 
 
-def check_seeded_region(outside: float) -> list[str]:
+def check_seeded_region(outside: float) -> Iterator[str]:
     """Return a warning if a share `outside` of the contact lies far from the region in which points are seeded."""
-    if not outside > _UNSEEDED:
-        return []
-    return [
-        f"{outside:.0%} of the contact lies outside the region in which points are seeded: medians and energy are of "
-        f"the rest, or of skin seeded later. Make [stream] region or views.topography.region as large as the contact"
-    ]
+    if outside > _UNSEEDED:
+        yield (
+            f"{outside:.0%} of the contact lies outside the region in which points are seeded: medians and energy are "
+            f"of the rest, or of skin seeded later. Make [stream] region or views.topography.region as large as the "
+            f"contact"
+        )
 
 
-def check_tracking(share: Series, first_frame: int) -> list[str]:
-    """Return a warning if the share (frames,) of tracked points is low in some frames; NaN without points."""
-    few = np.flatnonzero(share < _FEW_TRACKED)
-    if not len(few):
-        return []
-    return [
-        f"less than half of the points are tracked in {len(few)} frames, the first is {few[0] + first_frame} "
-        f"({share[few[0]]:.0%}): what is known there is of the rest alone. status says why each was lost"
-    ]
-
-
-def check_windows(share: Series, first_frame: int) -> list[str]:
-    """Return a warning if the image windows around some points no longer resemble the windows in the frame in which
-    these points were seeded.
-
-    `share` (frames,) is their share of the points, NaN without points.
+def check_tracking(tracked: Series, differs: Series, held: Series, first_frame: int) -> Iterator[str]:
+    """Return warnings by the shares (frames,) of the points, NaN without points: `tracked` if it is low in some frames,
+    `differs` of those whose windows no longer resemble the windows in the frame in which they were seeded, and `held`
+    of those that something which rests on the glass, such as dust, holds back.
     """
-    frames = np.flatnonzero(share > 0)
-    if not len(frames):
-        return []
-    return [
-        f"points were followed to where their window differs from that in which they were seeded, in {len(frames)} "
-        f"frames, the first is {frames[0] + first_frame}, up to {np.max(share[frames]):.1%} of them: their positions "
-        f"are NaN there (status window_differs)"
-    ]
+    few, differ, dust = (np.flatnonzero(mask) for mask in (tracked < _FEW_TRACKED, differs > 0, held > 0))
+    if len(few):
+        yield (
+            f"less than half of the points are tracked in {len(few)} frames, the first is {few[0] + first_frame} "
+            f"({tracked[few[0]]:.0%}): what is known there is of the rest alone. status says why each was lost"
+        )
+    if len(differ):
+        yield (
+            f"points were followed to where their window differs from that in which they were seeded, in {len(differ)} "
+            f"frames, the first is {differ[0] + first_frame}, up to {np.max(differs[differ]):.1%} of them: their "
+            f"positions are NaN there (status window_differs)"
+        )
+    if len(dust):
+        yield (
+            f"something rests on the glass while the skin moves, as dust does, or the motion jumps inside windows: up "
+            f"to {np.max(held[dust]):.1%} of the points were held back, in {len(dust)} frames, the first is "
+            f"{dust[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
+        )
 
 
-def check_impulses(share: float) -> list[str]:
+def check_impulses(share: float) -> Iterator[str]:
     """Return a warning if a large fraction `share` of the pixels of the topography view differs from all pixels around
     (salt-and-pepper noise).
     """
-    if share <= _IMPULSES:
-        return []
-    return [
-        f"{share:.2%} of the pixels of the topography view differ from all pixels around (salt and pepper): points are "
-        f"lost, and positions of others may be off by more than stated. Is the sensor defective, or the file damaged?"
-    ]
+    if share > _IMPULSES:
+        yield (
+            f"{share:.2%} of the pixels of the topography view differ from all pixels around (salt and pepper): points "
+            f"are lost, and positions of others may be off by more than stated. Is the sensor defective, or the file "
+            f"damaged?"
+        )
 
 
-def check_dust(share: Series, first_frame: int) -> list[str]:
-    """Return a warning if tracked points are held back by something that rests on the glass, such as dust; `share`
-    (frames,) is the fraction of points held back in each frame.
-    """
-    frames = np.flatnonzero(share > 0)
-    if not len(frames):
-        return []
-    return [
-        f"something rests on the glass while the skin moves, as dust does, or the motion jumps inside windows: up to "
-        f"{np.max(share[frames]):.1%} of the points were held back, in {len(frames)} frames, the first is "
-        f"{frames[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
-    ]
-
-
-def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
+def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: float, first_frame: int) -> Iterator[str]:
     """Return a warning if the median of a deformation field over the contact is NaN in frames whose contact is more
     than two gauge lengths wide.
 
@@ -403,65 +369,60 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
     known; `gross` is the gross area, mm^2.
     """
     unknown = np.flatnonzero(np.isnan(median) & (gross > np.pi * gauge_mm**2))
-    if not len(unknown):
-        return []
-    frame = unknown[0]
-    share = float(np.nan_to_num(coverage[frame]))
-    return [
-        f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
-        f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, {LEAST_SHARE:.0%} are needed "
-        f"(field_coverage). The other points are lost (status says why), or none were seeded there: see "
-        f"[views.topography] and its region, [stream] region, tracking.points and fields.gauge_length_mm"
-    ]
+    if len(unknown):
+        frame = unknown[0]
+        share = float(np.nan_to_num(coverage[frame]))
+        yield (
+            f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
+            f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, {LEAST_SHARE:.0%} are "
+            f"needed (field_coverage). The other points are lost (status says why), or none were seeded there: see "
+            f"[views.topography] and its region, [stream] region, tracking.points and fields.gauge_length_mm"
+        )
 
 
 def check_energy(
     energy: Series, gross: Series, misfit: NDArray[np.bool_], gauge_mm: float, first_frame: int
-) -> list[str]:
+) -> Iterator[str]:
     """Return warnings if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide, or no
     smooth field explains the displacements there (`misfit`).
     """
     wide = gross > np.pi * gauge_mm**2
     unknown, misfits = np.flatnonzero(np.isnan(energy) & wide), np.flatnonzero(misfit & wide)
-    warnings = []
     if len(unknown):
-        warnings.append(
+        yield (
             f"the strain energy is NaN in {len(unknown)} frames with contact, the first is {unknown[0] + first_frame}: "
             f"the strain is known in less than half of the area of the triangles there, or in none within half a gauge "
             f"length of the border. Their points are lost (status says why), or seeded in too small a [stream] region"
         )
     if len(misfits):
-        warnings.append(
+        yield (
             f"no smooth field explains the displacements well in {len(misfits)} frames with contact, the first is "
             f"{misfits[0] + first_frame}: skin slips, or points err by more than is stated. There the strain energy is "
             f"in part or as a whole the sum over the triangles between points, which lacks some of it"
         )
-    return warnings
 
 
-def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
+def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> Iterator[str]:
     """Return warnings if the gauge length is too short for the point spacing or large beside the width of the contact.
 
     `points` (N, 2) mm are positions at first contact, NaN for points never in contact; `contact_mm` is the least
     diameter of the largest contact.
     """
     touching = points[np.isfinite(points).all(1)]
+    spread = np.sqrt(np.prod(np.ptp(touching, axis=0)) / len(touching)) if len(touching) else np.nan
     if not np.isfinite(contact_mm):
-        return []
+        return
     if len(touching) < 3:
-        return [
-            f"{len(touching)} of {len(points)} points come into contact: no gradient can be fitted. Ask for more points"
-        ]
-    spread = np.sqrt(np.prod(np.ptp(touching, axis=0)) / len(touching))
-    if gauge_mm < _POINTS_IN_GAUGE * spread:
-        return [
+        few = f"{len(touching)} of {len(points)} points come into contact"
+        yield f"{few}: no gradient can be fitted. Ask for more points"
+    elif gauge_mm < _POINTS_IN_GAUGE * spread:
+        yield (
             f"fields.gauge_length_mm = {gauge_mm:g}, and {len(touching)} points lie some {spread:.2g} mm apart: a "
             f"gradient has few neighbours or none. Take {_POINTS_IN_GAUGE * spread:.2g} mm or more, or more points"
-        ]
-    if gauge_mm > _MOST_GAUGE * contact_mm:
-        return [
+        )
+    elif gauge_mm > _MOST_GAUGE * contact_mm:
+        yield (
             f"fields.gauge_length_mm = {gauge_mm:g} is over a third of the width of the contact ({contact_mm:.2g} mm): "
             f"divergence, curl and strain are smoothed by more than their deviations state. Take "
             f"{_MOST_GAUGE * contact_mm:.2g} mm or less"
-        ]
-    return []
+        )

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
 from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
@@ -57,9 +56,8 @@ class DenseFlowSlipStage(SlipStage):
     clear = 3.0
 
     def begin(self) -> None:
-        self._usable = self.trial.stage(FrameCheckStage).usable
         self._flow: SkinFlow | None = None
-        self._flow_deviation, self._median, self._most, self._apart = np.full((4, len(self.trial)), np.nan)
+        self._flow_deviation, self._apart = np.full((2, len(self.trial)), np.nan)
         self._lost: list[int] = []
         super().begin()
         rows, columns = self._cells
@@ -71,14 +69,12 @@ class DenseFlowSlipStage(SlipStage):
         if self._grid is not None and self._flow is not None:
             images = self._topography(batch.frames)
             for k, frame in enumerate(batch.indices):
-                if self._usable[frame]:
+                if self.usable[frame]:
                     self._follow(int(frame), images[k : k + 1], self._grid, self._flow)
         super().step(batch)
 
     def finish(self) -> None:
         super().finish()
-        self.results.put("dense_flow_difference", self._median)
-        self.results.put("dense_flow_difference_95", self._most)
         first = self.inputs.scene.recording.first_frame
         if self._flow is not None and self._flow.renewed:
             self.warnings.append(
@@ -92,11 +88,11 @@ class DenseFlowSlipStage(SlipStage):
             )
         disagreeing = np.flatnonzero(self._apart > _DISAGREE)
         if len(disagreeing):
-            worst = int(np.nanargmax(self._apart))
+            worst, median = int(np.nanargmax(self._apart)), self.series["dense_flow_difference"]
             self.warnings.append(
                 f"in {len(disagreeing)} frames dense flow and tracked points differ by more than {_DISAGREE:.0f} of "
                 f"their standard deviations in the median, most in frame {worst + first} "
-                f"({1000 * self._median[worst]:.1f} µm): one of them is wrong. Look at the video, and take [slip] "
+                f"({1000 * median[worst]:.1f} µm): one of them is wrong. Look at the video, and take [slip] "
                 f'displacement = "points" where the flow departs'
             )
 
@@ -151,7 +147,8 @@ class DenseFlowSlipStage(SlipStage):
         valid = np.isfinite(difference)
         if not valid.any():
             return
-        self._median[frame], self._most[frame] = np.quantile(difference[valid], (0.5, 0.95))
+        self.series["dense_flow_difference"][frame] = np.quantile(difference[valid], 0.5)
+        self.series["dense_flow_difference_95"][frame] = np.quantile(difference[valid], 0.95)
         deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known].astype(np.float64)
         variance = flow[valid, 2] + np.square(deviation[valid])
         length = difference[valid] / (np.sqrt(variance) * self.inputs.geometry.topography_mm_per_px)

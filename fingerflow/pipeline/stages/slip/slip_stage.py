@@ -105,9 +105,7 @@ class SlipStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.slip
-        self._ratio, self._printed, self._coverage, self._direction, self._speed = np.full((5, len(trial)), np.nan)
-        # Growth is in mm² a frame, of the leading and the trailing half.
-        self._incipient, self._growth = (np.full((count, len(trial)), np.nan) for count in (3, 2))
+        self._growth = np.full((2, len(trial)), np.nan)  # mm² a frame, of the leading and the trailing half
         self._pull = np.zeros(2)  # mm, sum of all displacements, towards which the skin moves over the glass
         self._deviation = np.full(len(trial), np.nan)  # mm, standard deviation of a component of a displacement
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
@@ -119,22 +117,20 @@ class SlipStage(Stage):
 
     def begin(self) -> None:
         contact = self.trial.stage(ContactStage)
-        self._area = contact.series["gross_contact_area"]
+        self._area = self.results["gross_contact_area"][:]
         shape = self.results["gross_contact_region"].shape[1:]
         half_window = self.inputs.scene.tracking.window_px / 2 * self.inputs.geometry.topography_mm_per_px
         self._first = np.asarray(self.results["position"][slice(0, 1)])[0]
         self._known = np.isfinite(self._first).all(-1)
         self._grid: SlipGrid | None = None
-        size = contact.cell_px * self.inputs.mm_per_px
-        first_cell = (contact.cell_px - 1) / 2 * self.inputs.mm_per_px
+        self._border: StuckBorder | None = None
         self._reach = half_window
         self._cells = (shape[0], shape[1])
         try:
-            self._grid = SlipGrid(self._first[self._known], self._cells, size, first_cell, half_window)
+            self._grid = SlipGrid(self._first[self._known], self._cells, **contact.cells(), reach_mm=half_window)
         except ValueError as error:
             self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
-        self._border: StuckBorder | None = None
-        if self._grid is not None:
+        else:
             seen = self._how_seen(self._grid)
             if self._settings.criterion == "border":
                 self._border = StuckBorder(self._grid, half_window, seen, self.clear)
@@ -156,7 +152,7 @@ class SlipStage(Stage):
             seen = self._seen(motion[k], self._grid)
             if len(seen):
                 distance, _ = cKDTree(seen).query(self._grid.centers[region])
-                self._coverage[frame] = (distance <= self._reach).mean()
+                self.series["slip_coverage"][frame] = (distance <= self._reach).mean()
             if self._border is not None:
                 self._border.gather(*self._points_and_cells(measured[k], self._grid), region)
 
@@ -177,11 +173,9 @@ class SlipStage(Stage):
         The tracker subtracts a correction for a curvature that it measures over most of the contact. Beside a border of
         slip the curvature is another one, so the correction is left out.
         """
-        return np.asarray(self._motion(frames) + self._correction(frames) - self._correction(slice(0, 1)))
-
-    def _correction(self, frames: Any) -> NDArray[Any]:
-        """Return the correction (n, N, 2) mm for the deformation of the skin, which the tracker has subtracted."""
-        return np.asarray(self.results["deformation_correction_px"][frames][:, self._known] @ self._of_px.T)
+        corrections = self.results["deformation_correction_px"]
+        now, first = (corrections[part][:, self._known] @ self._of_px.T for part in (frames, slice(0, 1)))
+        return np.asarray(self._motion(frames) + now - first)
 
     def _points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
         """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
@@ -228,29 +222,28 @@ class SlipStage(Stage):
                 self._find_stuck(first, min(first + _FRAMES, len(self.trial)), self._grid, criterion)
         self._warn_of_unknown()
         self._warn_of_noise()
-        forces = self.trial.stage(LoadingStage).ratio
-        deviation = self._ratio_std()
-        verdict = self._judged(forces, deviation)
+        forces, ratio = self.known("load_ratio"), self.series["stuck_ratio"]
+        # By the error of the stick border's position, the border being taken as a circle.
+        position_std = math.nan if border is None else border.position_std
+        deviation = np.sqrt(4 * np.pi * ratio / self._area * position_std**2 + _RATIO_NOISE**2)
+        self.series["stuck_ratio_std"] = deviation
+        verdict = self._judged(ratio, forces, deviation)
         parts: dict[str, TrialVerdict | FrictionFit | CurveComparison] = {"verdict": verdict}
         if verdict.collapse_frame >= 0 and forces is not None:
             slow = verdict.loading()
-            parts["friction_fit"] = verdict.check_fit(fit_friction(self._ratio[slow], forces[slow]))
-            parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
+            parts["friction_fit"] = verdict.check_fit(fit_friction(ratio[slow], forces[slow]))
+            parts["curves"] = compare_curves(ratio[slow], forces[slow])
         judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": settings.criterion, "stuck_mm": self._limit()}
         power = {} if not (border and border.fit) else {"power": border.fit.power, "power_std": border.fit.power_std}
-        self.results.put("stuck_area", self._ratio * self._area, limit)
-        self.results.put("stuck_ratio", self._ratio, limit | power | judged)
-        self.results.put("printed_stuck_ratio", self._printed, {"stuck_mm": settings.stuck_mm})
-        self.results.put("slip_annulus_area", (1 - self._ratio) * self._area, limit)
-        self.results.put("stuck_ratio_std", deviation)
-        self.results.put("slip_coverage", self._coverage)
-        self.results.put("slip_direction", self._direction)
-        self.results.put("slip_speed", self._speed)
-        rigid = ("incipient_slip", "incipient_slip_irrotational", "incipient_slip_solenoidal")
-        halves = ("leading_area_rate", "trailing_area_rate", "leading_area_rate_std", "trailing_area_rate_std")
-        for name, values in zip((*rigid, *halves), (*self._incipient, *self._area_rates()), strict=True):
-            self.results.put(name, values)
+        self.about |= {"stuck_area": limit, "slip_annulus_area": limit, "stuck_ratio": limit | power | judged}
+        self.about["printed_stuck_ratio"] = {"stuck_mm": settings.stuck_mm}
+        self.series |= {"stuck_area": ratio * self._area, "slip_annulus_area": (1 - ratio) * self._area}
+        ridge_mm = 2 * self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
+        area_std = self.results["gross_contact_area_std"][:]
+        rates, rates_std = growth_rates(self._growth, self.inputs.times, self._area, area_std, ridge_mm)
+        self.series |= {"leading_area_rate": rates[0], "trailing_area_rate": rates[1]}
+        self.series |= {"leading_area_rate_std": rates_std[0], "trailing_area_rate_std": rates_std[1]}
 
     def _limit(self) -> float:
         """Return the displacement, mm, below which skin counts as stuck; NaN if this limit is unknown."""
@@ -270,7 +263,7 @@ class SlipStage(Stage):
         for k, frame in enumerate(range(first, end)):
             region = regions[frame - start]
             # Skip a contact at the edge of the view, which is only partly visible.
-            if not self._coverage[frame] >= LEAST_COVERAGE or self._edge[frame]:
+            if not self.series["slip_coverage"][frame] >= LEAST_COVERAGE or self._edge[frame]:
                 continue
             # Take as many frames on either side, so that the median has no lag.
             side = min(self._beside, frame, len(self.trial) - 1 - frame)
@@ -282,12 +275,14 @@ class SlipStage(Stage):
             if measured is not None:
                 shown = self._points_and_cells(_settled(measured[around]), grid)
             fine = _largest(criterion.stuck(*shown, region))
-            self._ratio[frame] = grid.share(fine, region)
-            self._printed[frame] = grid.share(_largest(printed.stuck(moved, displacement, region)), region)
+            self.series["stuck_ratio"][frame] = grid.share(fine, region)
+            by_length = _largest(printed.stuck(moved, displacement, region))
+            self.series["printed_stuck_ratio"][frame] = grid.share(by_length, region)
             stuck[k] = grid.cells(fine) & region
             slips = (grid.sample_points(fine) == 0) & grid.covered(self._first[self._known] + moved, region)
             self._look_at_slip(frame, start, motion, moved, slips, grid)
-            self._incipient[:, frame] = _incipient(displacement, region & grid.known, grid)
+            for name, length in _incipient(displacement, region & grid.known, grid).items():
+                self.series[name][frame] = length
             if frame > start:
                 earlier, later = (self._point_displacement(motion[at - start], grid) for at in (frame - 1, frame))
                 self._growth[:, frame] = grid.growth((regions[frame - 1 - start], region), earlier, later, self._pull)
@@ -302,51 +297,32 @@ class SlipStage(Stage):
         if slips.sum() < _FEWEST_POINTS:
             return
         x, y = np.nanmean(moved[slips], axis=0)
-        self._direction[frame] = math.atan2(y, x)
+        self.series["slip_direction"][frame] = math.atan2(y, x)
         before, after = max(0, frame - self._speed_step), min(len(self.trial) - 1, frame + self._speed_step)
         if after > before:
             ends = [self._point_displacement(motion[at - start], grid)[slips] for at in (before, after)]
             way = (ends[1] - ends[0])[np.isfinite(ends[0] + ends[1]).all(-1)]
             if len(way) >= _FEWEST_POINTS:
                 seconds = self.inputs.times[after] - self.inputs.times[before]
-                self._speed[frame] = float(np.linalg.norm(way.mean(0))) / seconds
+                self.series["slip_speed"][frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
-    def _area_rates(self) -> NDArray[np.float64]:
-        """Return the rates, mm²/s, at which the leading and the trailing half of the contact gain skin, and their
-        standard deviations (4, F).
-        """
-        ridge_mm = 2 * self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
-        area_std = self.results["gross_contact_area_std"][:]
-        return np.concatenate(growth_rates(self._growth, self.inputs.times, self._area, area_std, ridge_mm))
-
-    def _ratio_std(self) -> NDArray[np.float64]:
-        """Return the standard deviation (F,) of d², the stick area over the contact area, due to the error of the stick
-        border's position, the border being taken as a circle.
-        """
-        position_std = math.nan if self._border is None else self._border.position_std
-        return np.asarray(np.sqrt(4 * np.pi * self._ratio / self._area * position_std**2 + _RATIO_NOISE**2))
-
-    def _judged(self, forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]) -> TrialVerdict:
-        reason = ""
-        if not np.nanmax(self._area, initial=0.0) > 0:
-            reason = "there is no contact in any frame"
-        elif not self._area[0] > 0:
-            reason = (
-                "there is no contact in the first frame, from which displacement counts: set [recording] first_frame"
-            )
-        elif self.inputs.scene.forces is None:
-            reason = "there are no forces: the scene has no [forces] table"
-        elif forces is None:
-            reason = "there is no tangential force: name its channel in [forces] tangential"
-        elif self._edge[0]:
-            reason = (
-                "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
-            )
-        elif not np.isfinite(self._ratio).any():
-            reason = "the displacement is known in too little of the contact in every frame"
+    def _judged(
+        self, ratio: NDArray[np.float64], forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]
+    ) -> TrialVerdict:
+        start = "in the first frame, from which displacement counts: set [recording] first_frame"
+        cut = "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
+        reasons = {
+            "there is no contact in any frame": not np.nanmax(self._area, initial=0.0) > 0,
+            f"there is no contact {start}": not self._area[0] > 0,
+            "there are no forces: the scene has no [forces] table": self.inputs.scene.forces is None,
+            "there is no tangential force: name its channel in [forces] tangential": forces is None,
+            cut: self._edge[0],
+            "the displacement is known in too little of the contact in every frame": np.isnan(ratio).all(),
+        }
+        reason = next((reason for reason, applies in reasons.items() if applies), "")
         if reason or forces is None:
-            return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self._ratio))
-        verdict = judge_trial(self._ratio, forces, self.inputs.times, deviation)
+            return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self.trial))
+        verdict = judge_trial(ratio, forces, self.inputs.times, deviation)
         if verdict.outcome == "inconclusive" and self._edge.any():
             left = f"; the contact reaches the edge of the view in {int(self._edge.sum())} frames, whose d² is NaN"
             return replace(verdict, reason=verdict.reason + left)
@@ -369,12 +345,13 @@ class SlipStage(Stage):
         if self._border is not None and self._border.reason:
             least = f"{1000 * FOLLOWED_MM:.0f} µm"
             self.warnings.append(f"{self._border.reason}: skin that has moved by less than {least} is taken for stuck")
-        low = np.flatnonzero(self._coverage < LEAST_COVERAGE)
+        coverage = self.series["slip_coverage"]
+        low = np.flatnonzero(coverage < LEAST_COVERAGE)
         if len(low):
             first = int(low[0]) + self.inputs.scene.recording.first_frame
             self.warnings.append(
                 f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less "
-                f"than {LEAST_COVERAGE:.0%} of the contact, down to {np.min(self._coverage[low]):.0%}: their stuck "
+                f"than {LEAST_COVERAGE:.0%} of the contact, down to {np.min(coverage[low]):.0%}: their stuck "
                 f"area is NaN. Points were lost there, or skin came into contact that was in no point's window: raise "
                 f"[tracking] points or search_px"
             )
@@ -395,16 +372,19 @@ def _largest(fine: Mask) -> Mask:
     return np.asarray(fine & (parts == sizes.argmax()))
 
 
-def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:
-    """Return RMS values, mm, over the contact of the displacement that remains without rigid motion: of all of it, and
-    of its irrotational and its solenoidal part (Helmholtz-Hodge).
+def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> dict[str, float]:
+    """Return RMS values, mm, by name over the contact of the displacement that remains without rigid motion: of all of
+    it, and of its irrotational and its solenoidal part (Helmholtz-Hodge).
     """
     positions = torch.from_numpy(grid.centers).reshape(1, -1, 2)
     weights = torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
     left = rigid_residual(positions, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
     parts = helmholtz_hodge(left, torch.from_numpy(region)[None, None])
-    return tuple(
-        float(field.square().sum(1)[0][torch.from_numpy(region)].nanmean().sqrt())
-        for field in (left, parts.irrotational, parts.solenoidal)
-    )
+    fields = {
+        "incipient_slip": left,
+        "incipient_slip_irrotational": parts.irrotational,
+        "incipient_slip_solenoidal": parts.solenoidal,
+    }
+    inside = torch.from_numpy(region)
+    return {name: float(field.square().sum(1)[0][inside].nanmean().sqrt()) for name, field in fields.items()}

@@ -8,7 +8,7 @@ from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_areas, triangle_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.strain.counted_skin import triangulate
 from fingerflow.schema.variables import PRINTED_STRAIN
 
@@ -27,13 +27,9 @@ class PrintedStrainStage(Stage):
     after = (ContactStage, DeformationStage)
     settings = ("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm")
 
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
-        self._median, self._energy = np.full((len(trial), 3), np.nan), np.full(len(trial), np.nan)
-
     def begin(self) -> None:
         self._moved = self.trial.stage(DeformationStage)
-        touches = np.nan_to_num(self.trial.stage(ContactStage).series["gross_contact_area"]) > 0
+        touches = self.results["gross_contact_area"][:] > 0
         reference = self._moved.steady_position(np.flatnonzero(touches)[:1]).reshape(-1, len(self._moved.onset), 2)
         reference = np.where(self._moved.onset[:, None] >= 0, reference[:1].sum(0), np.nan)
         self._triangles = triangulate(reference)
@@ -46,10 +42,13 @@ class PrintedStrainStage(Stage):
         strain = green_lagrange(gradient, settings.strain)
         density = strain_energy_density(strain, settings.young_modulus_mpa, settings.poisson_ratio).numpy()
         inside = np.all(self.results["in_contact"][batch.indices][:, self._triangles], axis=-1)[..., None]
-        self._median[batch.indices] = nanmedian(np.where(inside, strain.numpy(), np.nan))
         energy = settings.depth_mm * np.where(inside[..., 0], density * self._areas, np.nan)
-        self._energy[batch.indices] = np.where(np.isfinite(energy).any(1), np.nansum(energy, axis=1), np.nan)
+        values = {
+            "printed_strain": nanmedian(np.where(inside, strain.numpy(), np.nan)),
+            "printed_strain_energy": np.where(np.isfinite(energy).any(1), np.nansum(energy, axis=1), np.nan),
+        }
+        for name, series in self.series.items():
+            series[batch.indices] = values[name]
 
     def finish(self) -> None:
-        self.results.put("printed_strain", self._median, {"measure": self.inputs.scene.fields.strain})
-        self.results.put("printed_strain_energy", self._energy)
+        self.about["printed_strain"] = {"measure": self.inputs.scene.fields.strain}

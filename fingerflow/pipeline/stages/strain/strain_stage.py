@@ -39,6 +39,7 @@ _TAKEN = 0.7
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.5
+_ENERGIES = "strain_energy", "strain_energy_std", "strain_energy_between_points", "strain_energy_between_points_std"
 
 Array = NDArray[np.floating]
 
@@ -69,7 +70,7 @@ class StrainStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
-        self._energy, self._energy_std, self._between, self._between_std = np.full((4, len(trial)), np.nan)
+        self._energy, self._energy_std, self._between, self._between_std = [self.series[name] for name in _ENERGIES]
         self._misfit = np.zeros(len(trial), bool)
 
     def begin(self) -> None:
@@ -109,7 +110,7 @@ class StrainStage(Stage):
         # Smoothing over time delays the frame in which the border stops.
         self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
-        areas = contact.series["gross_contact_area"]
+        areas = self.results["gross_contact_area"][:]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
         # Later onsets on the border of a slide have other references, so that displacements jump there.
         begins = skin.since[: len(moved.onset)]
@@ -266,21 +267,15 @@ class StrainStage(Stage):
         return total
 
     def finish(self) -> None:
-        depth = {"depth_mm": self._settings.depth_mm} | self._since
-        # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
-        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
-        nothing = gross == 0
+        gross, depth = self.results["gross_contact_area"][:], self._settings.depth_mm
         gauge, first_frame = self.inputs.scene.fields.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_energy(self._energy, gross, self._misfit, gauge, first_frame))
-        for name, values in {
-            "strain_energy": self._energy,
-            "strain_energy_std": self._energy_std,
-            "strain_energy_between_points": self._between,
-            "strain_energy_between_points_std": self._between_std,
-        }.items():
-            self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
-        for name, of in (("strain_energy_rate", "strain_energy"), ("strain_energy_rate_std", "strain_energy_std")):
-            self.results.put(name, self._rate(self.results[of][:], name.endswith("_std")))
+        for name in _ENERGIES:
+            # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
+            self.series[name] = np.where(gross == 0, 0.0, depth * self.series[name])
+            self.about[name] = {"depth_mm": depth} | self._since
+        self.series["strain_energy_rate"] = self._rate(self.series["strain_energy"])
+        self.series["strain_energy_rate_std"] = self._rate(self.series["strain_energy_std"], of_std=True)
         if {"strain_rate", "strain_rate_std"} & self.trial.requested:
             self._put_strain_rate()
 

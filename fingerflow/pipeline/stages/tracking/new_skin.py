@@ -91,16 +91,18 @@ class NewSkin:
         if before is not None:
             old = len(before[0])
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
-        tracked, far = np.flatnonzero(points.tracked), self._window / 2 * self._per_px
-        cells = np.flatnonzero(self._cells_without_points(touching, position[tracked], way[tracked], far))
-        if not len(cells):
-            return None
+        tracked, far, side = np.flatnonzero(points.tracked), self._window / 2 * self._per_px, self._cell * _STEP
         rows, columns = np.indices(touching.shape)
-        at = _cell_centres(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
+        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
+        # Nearest points are searched only for cells that touch, or soon may, without a point nearby: a press has few.
+        cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[tracked]), initial=0.0) / side) + 1
+        square = np.ones((2 * min(cells_ahead, max(touching.shape)) + 1,) * 2, np.uint8)
+        cells = np.flatnonzero(cv2.dilate(touching.astype(np.uint8), square))
         tree = cKDTree(position[tracked])
-        distance, nearest = tree.query(at[cells])
+        cells = cells[tree.query(at[cells], distance_upper_bound=far)[0] > far]
+        nearest = tree.query(at[cells])[1]
         coming = at[cells] + _AHEAD * way[tracked[nearest]]
-        empty = (self._in(touching, at[cells]) | self._in(touching, coming)) & (distance > far)
+        empty = self._in(touching, at[cells]) | self._in(touching, coming)
         if not empty.any():
             return None
         cells, nearest = cells[empty], tracked[nearest[empty]]
@@ -128,31 +130,6 @@ class NewSkin:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(radius) + 1,) * 2)
         return self._on_topography(cv2.dilate(touching.astype(np.uint8), disc) > 0)
 
-    def _cells_without_points(self, touching: Mask, position: Points, way: Points, far: float) -> Mask:
-        """Return the flat mask of coarse grid cells of the contact view, in contact now or soon, without a point within
-        `far` px; `position` (N, 2) px are the points, `way` (N, 2) their last motion relative to the contact.
-
-        In a press there are hardly any. Nearest points are searched only for these cells.
-        """
-        side = self._cell * _STEP
-        reach = int(_AHEAD * np.nanmax(np.abs(way), initial=0.0) / side) + 1
-        window = np.ones((2 * min(reach, max(touching.shape)) + 1,) * 2, np.uint8)
-        empty = cv2.dilate(touching.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-        # Cells around each point whose sampled position may lie within the distance `far` of the point.
-        around = np.arange(-int(far / side) - 1, int(far / side) + 2)
-        cell = np.floor((position + 0.5) / side).astype(int)
-        column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
-        across, down = (
-            (_cell_centres(index, self._cell) - position[:, k, None]) ** 2 for k, index in enumerate((column, row))
-        )
-        near = down[:, :, None] + across[:, None] <= far**2
-        near &= ((row >= 0) & (row < touching.shape[0]))[:, :, None]
-        near &= ((column >= 0) & (column < touching.shape[1]))[:, None]
-        number = row[:, :, None] * touching.shape[1] + column[:, None]
-        result: Mask = empty.ravel()
-        result[number[near]] = False
-        return result
-
     def _on_contact(self, position: Points) -> Points:
         return position @ self._matrix[:, :2].T + self._matrix[:, 2]
 
@@ -163,8 +140,7 @@ class NewSkin:
 
     def _in(self, touching: Mask, at: Points) -> Mask:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
-        inside = (row >= 0) & (column >= 0) & (row < touching.shape[0]) & (column < touching.shape[1])
-        return inside & touching[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return _look_up(touching, row, column)
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], points: SeededPoints) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
@@ -174,11 +150,7 @@ class NewSkin:
         """
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (points.position - points.start)[nearest]
         column, row = np.rint(was).astype(int).T
-        height, width = self.searched[0].shape
-        inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
-        regions = np.stack(self.searched)
-        had = regions[points.seeding[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
-        return ~(inside & had)
+        return ~_look_up(np.stack(self.searched), points.seeding[nearest], row, column)
 
     def _on_topography(self, cells: Mask) -> Mask:
         side = self._cell * _STEP
@@ -194,19 +166,17 @@ class NewSkin:
         """
         height, width = self.searched[0].shape
         column, row = np.rint(position[np.isfinite(position).all(1)]).astype(int).T
-        inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
         if len(position) < 2:
             return np.zeros((height, width), dtype=bool)
         away = np.ones((height, width), np.uint8)
+        inside = _look_up(away > 0, row, column)
         away[row[inside], column[inside]] = 0
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
         spacing = float(np.median(cKDTree(position).query(position, k=2)[0][:, 1]))
         return np.asarray(distance < spacing / 2)
 
 
-def _cell_centres(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Return the px coordinates of the centres of grid cells from their indices along one axis.
-
-    Every `_STEP`-th cell is sampled.
-    """
-    return (number * _STEP + 0.5) * cell_px - 0.5
+def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:
+    """Return the values (K,) of a mask at indices (K,) along each of its axes; False outside the mask."""
+    inside = np.all([(index >= 0) & (index < side) for index, side in zip(numbers, mask.shape, strict=True)], axis=0)
+    return inside & mask[tuple(np.where(inside, index, 0) for index in numbers)]

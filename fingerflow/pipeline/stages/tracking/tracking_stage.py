@@ -78,9 +78,8 @@ class TrackingStage(Stage):
         self._density = 0.0  # points per px of the first seeding region
         self._new_skin: NewSkin | None = None
         self._full = False  # True if no more points may be seeded
-        self._skipped: list[int] = []  # unusable frames before the first seeding
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
-        self._share, self._error, self._differs, self._held = np.full((4, len(trial)), np.nan)
+        self._held = np.full(len(trial), np.nan)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
@@ -93,11 +92,9 @@ class TrackingStage(Stage):
     def begin(self) -> None:
         """Find the contact region in which points are to be seeded, and warn if no contact is found."""
         contact = self.trial.stage(ContactStage)
-        self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
         window = self._settings.window_px
-        region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
-        self._region = region[0, 0].cpu().numpy()
+        self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
         if not self._region.any():
             self.warnings.append(
                 f"no contact at {contact.largest_load()}: there are no points and no deformation. Check frame rate and "
@@ -109,9 +106,8 @@ class TrackingStage(Stage):
         frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
         self.warnings.extend(plausibility.check_clipped("topography", frame))
         if contact.skin is not None:
-            mirrored, offset_px = ridges.compare_views(contact.skin, frame, self._to_contact)
-            views = plausibility.check_mirrored(mirrored) or plausibility.check_views(offset_px, self.inputs.mm_per_px)
-            self.warnings.extend(views)
+            compared = ridges.compare_views(contact.skin, frame, self._to_contact)
+            self.warnings.extend(plausibility.check_views(*compared, self.inputs.mm_per_px))
 
     def step(self, batch: Batch) -> Any:
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
@@ -119,40 +115,28 @@ class TrackingStage(Stage):
             return
         margin = batch.result(ContactStage).density_margin
         images = batch.images(self.inputs, self._view)
-        numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self._usable[batch.indices])) + 1
+        numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self.usable[batch.indices])) + 1
         # New skin is searched, and windows are compared, where templates are checked.
         for run in np.split(numbers, np.union1d(changes, numbers[MOST_FRAMES::MOST_FRAMES])):
             indices = batch.indices[run]
-            if self._usable[indices[0]]:
+            if self.usable[indices[0]]:
                 self._step_through(images[run[0] : run[-1] + 1], indices, margin[run[0] : run[-1] + 1])
-            else:
-                self._skip_frames(indices)
-
-    def _skip_frames(self, indices: NDArray[np.intp]) -> None:
-        """Mark frames as unusable, and extrapolate the position of each point over them at its last velocity."""
-        if not self._seeded:
-            self._skipped.extend(indices)
-            return
-        self.results["status"][indices] = TrackStatus.FRAME_NOT_USABLE
-        for points in self._seeded:
-            points.pass_over(len(indices))
+            elif self._seeded:
+                self.results["status"][indices] = TrackStatus.FRAME_NOT_USABLE
+                for points in self._seeded:
+                    points.pass_over(len(indices))
 
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> None:
         groups: list[TrackedPoints] = []
         curved: list[NDArray[np.float32]] = []
         motion = _motion(self._seeded) if self._seeded else None
-        if not self._seeded:
-            first = self._seed(images[:1], margin[:1])
-            for skipped in self._skipped:
-                self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
-            rest = [self._seeded[0].follow(images[1:])] if len(images) > 1 else []
-            groups.append(join([first, *rest], 0))
+        for points, numbers in zip(self._seeded, self._around, strict=True):
+            around = select(join(groups, 1), slice(None), numbers) if groups else nothing_found(len(images))
+            groups.append(points.follow(images, around))
+            curved.append(points.curvature_variance(groups[-1], around))
+        if not groups:
+            groups.append(self._seed(images, margin[0, 0]))
             curved.append(self._seeded[0].curvature_variance(groups[0]))
-        else:
-            for points, numbers in zip(self._seeded, self._around, strict=True):
-                around = select(join(groups, 1), slice(None), numbers) if groups else nothing_found(len(images))
-                groups.append(points.follow(images, around))
-                curved.append(points.curvature_variance(groups[-1], around))
         tracked_points = join(groups, 1)
         before = tracked_points.status.shape[1]
         new = self._seed_new(images, margin, tracked_points, motion)
@@ -176,22 +160,19 @@ class TrackingStage(Stage):
         }.items():
             self.results[name][indices] = values
         if _CORRECTION in self.trial.requested:
-            corrections = self._corrections(len(images))
-            self.results[_CORRECTION][indices] = np.where(np.isfinite(pixels), corrections, np.nan)
+            parts = [points.correction for points in self._seeded]  # 0 up to the frame in which a point was seeded
+            parts = [np.pad(part, ((len(images) - len(part), 0), (0, 0), (0, 0))) for part in parts]
+            self.results[_CORRECTION][indices] = np.where(np.isfinite(pixels), np.concatenate(parts, axis=1), np.nan)
         tracked = status[:, :before] == TrackStatus.TRACKED
-        self._share[indices] = tracked.mean(1)
-        self._differs[indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
+        self.series["tracked_share"][indices] = tracked.mean(1)
+        self.series["window_differs_share"][indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
         self._held[indices] = (status[:, :before] == TrackStatus.DUST_IN_WINDOW).mean(1)
-        self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
+        self.series["forward_backward_median"][indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_tracking(self._share, first_frame))
-        self.warnings.extend(plausibility.check_windows(self._differs, first_frame))
-        self.warnings.extend(plausibility.check_dust(self._held, first_frame))
-        self.results.put("tracked_share", self._share)
-        self.results.put("window_differs_share", self._differs)
-        self.results.put("forward_backward_median", self._error)
+        shares = self.series["tracked_share"], self.series["window_differs_share"], self._held
+        self.warnings.extend(plausibility.check_tracking(*shares, first_frame))
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
@@ -202,34 +183,25 @@ class TrackingStage(Stage):
         (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
         return np.nan_to_num(np.stack((xx - yy, 2 * xy), axis=1) / np.maximum(xx + yy, 1e-30)[:, None])
 
-    def _corrections(self, frames: int) -> NDArray[np.float32]:
-        """Return the corrections (n, N, 2) px of all points in the last `frames` frames; 0 in frames up to the one in
-        which a point was seeded.
-        """
-        result = np.zeros((frames, sum(map(len, self._seeded)), 2), np.float32)
-        first = 0
-        for points in self._seeded:
-            result[frames - len(points.correction) :, first : first + len(points)] = points.correction
-            first += len(points)
-        return result
-
     def _create(self, points: int, noise: float = math.nan) -> None:
         for variable in TRACKING:
             if "point" in variable.dims and self.trial.stores(variable):
                 about = {"image_noise": noise} if variable.name == "position_std_px" else None
                 self.results.create(variable.name, about, point=points)
+        for frame in np.flatnonzero(~self.usable):
+            self.results["status"][[frame]] = TrackStatus.FRAME_NOT_USABLE
 
-    def _seed(self, image: Images, margin: NDArray[np.floating]) -> TrackedPoints:
-        """Seed the first points in `image`, the first usable frame, and return their tracking results (1, N); `margin`
-        is a grid of cells, positive in the gross contact.
+    def _seed(self, images: Images, margin: NDArray[np.floating]) -> TrackedPoints:
+        """Seed the first points in the first of the n images, which is that of the first usable frame, and return their
+        tracking results (n, N); `margin` is a grid of cells, positive in the gross contact of that frame.
         """
-        where, requested = self._seeding_region(margin[0, 0]), self._settings.points
-        points = self._engine.detect(self._view_for_seeding(image), where, requested)
+        image, where, requested = images[:1], self._seeding_region(margin), self._settings.points
+        points = self._detect(image, where, requested)
         if len(points) < _FEWEST:
             # The frame with the largest contact may be later, and show it elsewhere than this frame.
             self._region = self.trial.stage(ContactStage).touched()
-            where = self._seeding_region(margin[0, 0])
-            points = self._engine.detect(self._view_for_seeding(image), where, requested)
+            where = self._seeding_region(margin)
+            points = self._detect(image, where, requested)
         if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
@@ -238,14 +210,14 @@ class TrackingStage(Stage):
             )
         min_distance = self._settings.min_distance_px
         self.warnings.extend(plausibility.check_points(len(points), requested, min_distance, int(where.sum())))
-        self.warnings.extend(plausibility.check_seeded_region(self._outside(where, margin[0, 0])))
+        self.warnings.extend(plausibility.check_seeded_region(self._outside(where, margin)))
         self.warnings.extend(plausibility.check_impulses(self._impulses(image)))
         self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
-        self._new_skin.begin(margin[0, 0], points)
-        return self._start_tracking(image, points, np.zeros(0, np.intp))
+        self._new_skin.begin(margin, points)
+        return self._start_tracking(images, points, nothing_found(len(images)), np.zeros(0, np.intp))
 
     def _impulses(self, image: Images) -> float:
         """Return the share of the pixels of a frame that differ from the median of the 3 x 3 pixels around by more than
@@ -256,21 +228,23 @@ class TrackingStage(Stage):
         return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
 
     def _start_tracking(
-        self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
+        self, images: Images, points: NDArray[np.floating], others: TrackedPoints, near: NDArray[np.intp], *more: Any
     ) -> TrackedPoints:
-        """Start to track newly seeded points (N, 2) px, and return their tracking results (1, N) in this frame.
+        """Track newly seeded points (N, 2) px from the first of the n images on, and return their results (n, N).
 
-        `numbers` are the indices of earlier points near the new ones.
-
-        `more` are the positions of the earlier points, and the motion of the new ones.
+        `others` are the results of earlier points in these images, `near` the indices of those near the new ones;
+        `more` are the positions of these in the first image, and the motion of the new ones.
         """
         template, knowledge = self._settings.template, self.inputs.knowledge
-        self._seeded.append(Points(self._engine, image, points, *more, template=template, knowledge=knowledge))
-        self._around.append(numbers)
-        return self._seeded[-1].as_seeded
+        new = Points(self._engine, images[:1], points, *more, template=template, knowledge=knowledge)
+        self._seeded.append(new)
+        self._around.append(near)
+        rest = [new.follow(images[1:], select(others, slice(1, None), near))] if len(images) > 1 else []
+        return join([new.as_seeded, *rest], 0)
 
-    def _view_for_seeding(self, image: Images) -> Images:
-        return image if self._settings.points_from == "recorded" else self._enhanced(image)
+    def _detect(self, image: Images, where: NDArray[np.bool_], count: int) -> NDArray[np.floating]:
+        picture = image if self._settings.points_from == "recorded" else self._enhanced(image)
+        return self._engine.detect(picture, where, count)
 
     def _seed_new(
         self, images: Images, margin: NDArray[np.floating], tracked_points: TrackedPoints, motion: PointMotion | None
@@ -303,18 +277,15 @@ class TrackingStage(Stage):
         count = min(round(self._density * float(region.sum())), MOST_SEEDED * self._settings.points - total)
         if count < 1:
             return None
-        points = self._engine.detect(self._view_for_seeding(images[begin : begin + 1]), region, count)
+        points = self._detect(images[begin : begin + 1], region, count)
         if not len(points) or not self._make_room(total, len(points)):
             return None
         around = tracked_points.points[begin]
         distance, _ = cKDTree(points).query(np.where(np.isfinite(around), around, position))
         near = np.flatnonzero(tracked & np.isfinite(around).all(1) & (distance <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
-        more = around[near], motion.seeded(points)
-        seeded = [self._start_tracking(images[begin : begin + 1], points, near, *more)]
-        if begin < len(images) - 1:
-            seeded.append(self._seeded[-1].follow(images[1:], select(tracked_points, slice(1, None), near)))
-        return join(seeded, 0)
+        others, motion_of_new = select(tracked_points, slice(begin, None)), motion.seeded(points)
+        return self._start_tracking(images[begin:], points, others, near, around[near], motion_of_new)
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
