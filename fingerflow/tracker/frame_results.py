@@ -131,14 +131,15 @@ class FrameResults:
 
     def _batch(self, covered: Array) -> int:
         """Return how many of the next frames can be computed at once, given which points the contact covers in each,
-        `covered` (n, N): those before a touch ends, as the point may touch again elsewhere, and one while it is unknown
-        from where points count, or how medians err by the gauge length.
+        `covered` (n, N): those before a point touches again elsewhere, and one while it is unknown from where points
+        count, or how medians err by the gauge length.
         """
-        if len(covered) == 1 or np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
+        if np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
             return 1
-        ends = (covered[:-1] > covered[1:]) & (self._touches.length < LASTING)
-        frames = np.logical_or.reduce(ends, 1)
-        return 1 + int(frames.argmax()) if frames.any() else len(covered)
+        before = np.logical_or.accumulate(covered[:-2])
+        again = before & (covered[1:-1] < covered[2:]) & (self._touches.length < LASTING)
+        frames = np.logical_or.reduce(again, 1)
+        return 2 + int(frames.argmax()) if frames.any() else len(covered)
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding, count = seeding, len(seeding.points)
@@ -186,7 +187,7 @@ class FrameResults:
         noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
         moved = position - touch.position
         moved[:, np.isnan(self._inherited)] = np.nan
-        # A touch that ends begins no other in these frames (`_batch`).
+        # No point touches twice in these frames (`_batch`).
         reference, curvature = np.fmax.reduce(touch.position), skin.curvature * px2
         return Displacement(reference, moved, noise, curvature, onset, self._gain, together(entered), late)
 
