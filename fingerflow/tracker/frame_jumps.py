@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import numpy.ma  # which the first call of `quantile` would load, while a frame waits
 from numpy.typing import NDArray
 
 from fingerflow.tracker.frame_distances import LONGEST

@@ -497,15 +497,18 @@ class StreamTracker:
         """Return the mask (H, W) of a contact in the topography view, and that of the region around it in which points
         are to be seeded.
         """
-        rows, columns = np.indices(self._settings.region.shape, dtype=np.float32)
-        right, down = (
-            by_x * columns + by_y * rows + shift - middle
-            for (by_x, by_y, shift), middle in zip(self._to_contact, sparse.center, strict=True)
-        )
+        height, width = self._settings.region.shape
+        rows, columns = np.ogrid[:height, :width]
         cosine, sine = math.cos(sparse.angle), math.sin(sparse.angle)
-        along, across = right * cosine + down * sine, down * cosine - right * sine
+        to_axes = np.array([[cosine, sine], [-sine, cosine]]) @ (
+            self._to_contact - np.pad(sparse.center[:, None], ((0, 0), (2, 0)))
+        )
+        along, across = (
+            (by_x * columns).astype(np.float32) + (by_y * rows + shift).astype(np.float32)
+            for by_x, by_y, shift in to_axes
+        )
         inside, around = (
-            self._settings.region & ((along / axes[0]) ** 2 + (across / axes[1]) ** 2 < 1)
-            for axes in (sparse.semi_axes, sparse.wide)
+            self._settings.region & (np.square(along / major) + np.square(across / minor) < 1)
+            for major, minor in (sparse.semi_axes.tolist(), sparse.wide.tolist())
         )
         return inside, around

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import squared_distances
+from fingerflow.kernels.arrays import nanmedian, squared_distances
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
 
 Array = NDArray[Any]
@@ -53,7 +53,7 @@ class PointMotion(NamedTuple):
         if len(seen) >= _AROUND:
             distance = squared_distances(points[new], self.position[seen])
             nearest = seen[np.argpartition(distance, _AROUND - 1, axis=1)[:, :_AROUND]]
-            motion.speed[new] = np.median(self.speed[nearest], axis=1)
+            motion.speed[new] = nanmedian(self.speed[nearest])
         return motion
 
     def expect(self, frames: int = 1) -> Array:
