@@ -89,7 +89,6 @@ class Stage:
         same_pass: stages of the same pass whose step of the same frames comes before its own.
         after: stages that must be finished before it begins.
         reads_frames: True if `step` reads pictures.
-        views: names of the views whose images `step` gives to the engine (`Batch.images`).
         follows_border: True if it needs points on both sides of the contact border, from the first frame on.
         settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
@@ -106,7 +105,6 @@ class Stage:
     same_pass: ClassVar[tuple[type["Stage"], ...]] = ()
     after: ClassVar[tuple[type["Stage"], ...]] = ()
     reads_frames: ClassVar[bool] = False
-    views: ClassVar[tuple[str, ...]] = ()
     follows_border: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()
     restored: ClassVar[bool] = False

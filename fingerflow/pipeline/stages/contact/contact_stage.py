@@ -48,7 +48,6 @@ class ContactStage(Stage):
     needs = ("views.contact",)
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
-    views: ClassVar[tuple[str, ...]] = ("contact",)
     settings: ClassVar[tuple[str, ...]] = (
         "kind",
         "contact",

@@ -55,7 +55,6 @@ class TrackingStage(Stage):
     same_pass = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
-    views: ClassVar[tuple[str, ...]] = ("topography",)
     settings: ClassVar[tuple[str, ...]] = (
         *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
         *("contact.appears", "contact.gross_radius_px"),
