@@ -29,24 +29,17 @@ class Batch:
     Attributes:
         indices: (n,) frame numbers, from 0 for the first selected frame; ascending or descending by one.
         frames: (n, H, W) pictures; None where no stage of the pass reads them.
+        steps: what the method `step` of each earlier stage of this pass returned.
     """
 
     indices: NDArray[np.intp]
     frames: NDArray[np.generic] | None = None
-    _steps: dict[type["Stage"], Any] = field(default_factory=dict)
-
-    def keep(self, stage: "Stage", result: Any) -> None:
-        """Store what the method `step` of a stage returned, for later stages of this pass."""
-        self._steps[type(stage)] = result
+    steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def images(self, inputs: Inputs, view: View) -> Images:
         """Return the images of a view as the engine of the inputs takes them."""
         assert self.frames is not None
         return inputs.engine.images(inputs.counts(self.frames, view))
-
-    def result(self, stage: type["Stage"]) -> Any:
-        """Return what the method `step` of another stage returned for this batch."""
-        return self._steps[stage]
 
 
 @dataclass
@@ -154,7 +147,7 @@ class Stage:
         """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
-        """Compute the results of a batch of frames; later stages of the pass get what it returns (`Batch.result`)."""
+        """Compute the results of a batch of frames; later stages of the pass get what it returns (`Batch.steps`)."""
 
     def finish(self) -> None:
         """Compute the results that need all frames, and add warnings, after the last batch."""

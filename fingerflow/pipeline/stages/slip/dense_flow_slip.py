@@ -11,8 +11,7 @@ from torch import Tensor
 
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
-from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
+from fingerflow.pipeline.stages.slip.skin_flow import FlowResponse, SkinFlow
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch

@@ -112,7 +112,7 @@ class TrackingStage(Stage):
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
-        margin = batch.result(ContactStage).density_margin
+        margin = batch.steps[ContactStage].density_margin
         images = batch.images(self.inputs, self._view)
         numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self.usable[batch.indices])) + 1
         # New skin is searched, and windows are compared, where templates are checked.
