@@ -85,7 +85,7 @@ class Stage:
         follows_border: True if it needs points on both sides of the contact border, from the first frame on.
         settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
-        restored: True if `restore` brings back all that later stages need of it from an earlier result.
+        restored: False if later stages need more of it than `restore` brings back from an earlier result.
         warnings: messages to the user; of the instance.
         series: values (frames, ...) by name of the variables that have a few numbers a frame, NaN until they are set;
             `derive` stores them, with the attributes in `about`.
@@ -100,7 +100,7 @@ class Stage:
     reads_frames: ClassVar[bool] = False
     follows_border: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()
-    restored: ClassVar[bool] = False
+    restored: ClassVar[bool] = True
 
     def __init__(self, trial: RunContext) -> None:
         self.trial = trial
@@ -128,6 +128,11 @@ class Stage:
         results of this stage; None if nothing does.
         """
         return None
+
+    @property
+    def first_frame(self) -> int:
+        """Return the number in the file of the first selected frame."""
+        return self.inputs.scene.recording.first_frame
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:

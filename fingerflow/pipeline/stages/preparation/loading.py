@@ -34,7 +34,6 @@ class LoadingStage(Stage):
     name = "loading"
     gives = LOADING
     settings = ("kind", "forces", "recording.times", "recording.trigger_frame")
-    restored = True
 
     def begin(self) -> None:
         settings, inputs = self.inputs.scene.forces, self.inputs

@@ -79,7 +79,7 @@ class StrainStage(Stage):
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
-        self._since = moved.reference_of.attributes(self.inputs.scene.recording.first_frame)
+        self._since = moved.reference_of.attributes(self.first_frame)
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
         principal = {"principal_strains", "principal_angle"} & self.trial.requested
@@ -260,8 +260,11 @@ class StrainStage(Stage):
 
     def finish(self) -> None:
         gross, depth = self.results["gross_contact_area"][:], self._settings.depth_mm
-        gauge, first_frame = self.inputs.scene.fields.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_energy(self._energy, gross, self._misfit, gauge, first_frame))
+        self.warnings.extend(
+            plausibility.check_energy(
+                self._energy, gross, self._misfit, self._settings.gauge_length_mm, self.first_frame
+            )
+        )
         for name in _ENERGIES:
             # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
             self.series[name] = np.where(gross == 0, 0.0, depth * self.series[name])

@@ -60,7 +60,6 @@ class TrackingStage(Stage):
         *("contact.appears", "contact.gross_radius_px"),
         *(*SCALE_KEYS, "calibration.topography_to_contact"),
     )
-    restored = True
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -169,9 +168,8 @@ class TrackingStage(Stage):
         self.series["forward_backward_median"][indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
-        first_frame = self.inputs.scene.recording.first_frame
         shares = self.series["tracked_share"], self.series["window_differs_share"], self._held
-        self.warnings.extend(plausibility.check_tracking(*shares, first_frame))
+        self.warnings.extend(plausibility.check_tracking(*shares, self.first_frame))
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
