@@ -8,8 +8,6 @@ drawn by a seeded generator: a file that is opened, renamed, made or removed.
 Commands are forked from a process that has imported all modules, and are small.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -1,7 +1,5 @@
 """Reading of a deployment bundle: the folder of ONNX graphs and settings that `fingerflow export` writes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

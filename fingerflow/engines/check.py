@@ -4,8 +4,6 @@ An engine with other results computes wrongly on this computer. Every method of 
 is called, with inputs that do not depend on the results of other methods where this is possible.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -89,7 +87,7 @@ class BuiltIn(NamedTuple):
         """Return the true positions (N, 2) px in `topography`."""
         return self.expected - np.float32(_BESIDE)
 
-    def reversed(self) -> BuiltIn:
+    def reversed(self) -> "BuiltIn":
         """Return the frame of the reversed motion, without contact and in darker light."""
         empty, contact = (np.round(light * self.empty).astype(self.empty.dtype) for light in (_DARKER, _DARKER**2))
         known = np.isfinite(self.points)

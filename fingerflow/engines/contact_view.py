@@ -1,7 +1,5 @@
 """Light of the empty glass, and points in the apparent contact, the same for every engine."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Define the interface of the engines, with the arrays that are passed to and from them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 

@@ -1,7 +1,5 @@
 """Engine that runs graphs: those of a deployment bundle in ONNX Runtime, or the same torch modules in torch."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping
 from typing import Any
@@ -64,7 +62,7 @@ class _GraphTemplates:
                 self._inputs = {name: self._track.kept(name, array) for name, array in self.arrays.items()}
             return self._inputs
 
-    def update(self, rows: Array, updated: _GraphTemplates) -> None:
+    def update(self, rows: Array, updated: "_GraphTemplates") -> None:
         """Replace the templates with indices `rows` by `updated`, also in the memory in which the graph runs."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]

@@ -1,7 +1,5 @@
 """Engine that calls the compiled library with NumPy arrays, without torch."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 
@@ -46,7 +44,7 @@ class _NativeTemplates:
         self.arrays, self.key, self.noise = arrays, key, noise
         self.numbers: Array = arrays[2][0]
 
-    def update(self, rows: Array, updated: _NativeTemplates) -> None:
+    def update(self, rows: Array, updated: "_NativeTemplates") -> None:
         for array, part in zip(self.arrays, updated.arrays, strict=True):
             array[:, rows] = part
 

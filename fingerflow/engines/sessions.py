@@ -1,7 +1,5 @@
 """ONNX Runtime sessions of the graphs of a deployment bundle, opened with one execution provider."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """Engine that runs the modules of `graphs` with torch, on any device, also without compiled kernels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Engine of a recording that runs graphs in ONNX Runtime, exported in memory for the shapes of the recording."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping
 from functools import lru_cache
@@ -20,7 +18,7 @@ _EXPORT = threading.Lock()  # torch exports one graph at a time
 
 
 @lru_cache(maxsize=4)
-def recording_engine(settings: EngineSettings, threads: int) -> RecordingEngine:
+def recording_engine(settings: EngineSettings, threads: int) -> "RecordingEngine":
     """Return the engine for recordings with these settings; it keeps the graphs that it has exported.
 
     Raises FingerflowError if a package for export is not installed.

@@ -80,16 +80,11 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
 
 
 def _add_needs(requested: Iterable[type[Stage]], named: frozenset[str], stages: Iterable[type[Stage]]) -> Plan:
-    needed = set[type[Stage]]()
-
-    def need(stage: type[Stage]) -> None:
-        needed.add(stage)
-        for earlier in (*stage.after, *stage.same_pass):
-            need(earlier)
-
-    for stage in requested:
-        need(stage)
-    run = tuple(stage for stage in stages if stage in needed)
+    needed, ordered = set(requested), list(stages)
+    for stage in reversed(ordered):  # a stage comes after those that it needs
+        if stage in needed:
+            needed.update(stage.after, stage.same_pass)
+    run = tuple(stage for stage in ordered if stage in needed)
     return Plan(run, named.union(*(stage.reads for stage in run)))
 
 

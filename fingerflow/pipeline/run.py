@@ -220,7 +220,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
 
 def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> None:
     with _timed(seconds, stage.name):
-        batch.keep(stage, stage.step(batch))
+        batch.steps[type(stage)] = stage.step(batch)
 
 
 def _compute_ahead(act: Callable[[_Given], _Result], items: Iterable[_Given]) -> Generator[_Result, None, None]:

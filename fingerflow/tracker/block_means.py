@@ -2,8 +2,6 @@
 differences of neighbours.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Median displacement over the area of the contact, and its standard deviation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -8,8 +8,6 @@ of such skin is its deformation since its own entry, all neighbours counted from
 position with respect to position in a common frame, F(t) F(entry)^-1 - I.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

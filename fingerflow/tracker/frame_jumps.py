@@ -1,7 +1,5 @@
 """Detection of frames in which the image jumps and then returns; the same rule serves recordings and live streams."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Determine the onset of contact: frame and position at which each skin point first touches the glass."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Search for lost points, which registration did not find near their predicted positions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Schedule contact thresholds, reseedings and new key frames of a stream."""
 
-from __future__ import annotations
-
 import math
 
 

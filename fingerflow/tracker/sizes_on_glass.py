@@ -1,7 +1,5 @@
 """Conversion of areas and ellipses of the contact from px of the contact view to mm on the glass."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

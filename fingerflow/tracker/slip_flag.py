@@ -1,7 +1,5 @@
 """Detect slip in a stream: the rim of the contact moves along the glass while its middle stays behind."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Frame quality in a stream: detection of invalid images by the rules of a recording, as far as frames have arrived."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -34,7 +32,7 @@ class Picture(NamedTuple):
     key: bytes
     number: int
 
-    def squared_distance(self, before: Picture) -> Array:
+    def squared_distance(self, before: "Picture") -> Array:
         """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
         sequence.
         """

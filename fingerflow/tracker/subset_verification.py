@@ -1,7 +1,5 @@
 """Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin or dust."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple, Self
 

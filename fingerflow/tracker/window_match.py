@@ -3,8 +3,6 @@
 An engine samples the windows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

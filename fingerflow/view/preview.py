@@ -89,7 +89,7 @@ class Previewer:
         with torch.inference_mode():
             tracking.begin()
             batch = self._batch(frame)
-            batch.keep(self._contact, self._contact.step(batch))
+            batch.steps[ContactStage] = self._contact.step(batch)
             tracking.step(batch)
         points = trial.results["position_px"][np.array([frame])][0]
         return points, frame, list(tracking.warnings)

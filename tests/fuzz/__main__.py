@@ -5,8 +5,6 @@ processor time. The outcomes `read` and `own error`, which names the file, are r
 with the number that makes its input again: `python -m tests.fuzz --reader tiff --seed 16 --first 4711 --count 1`.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import logging

@@ -1,7 +1,5 @@
 """Damage files by a seeded generator, so that a number of the command gives the same bytes again."""
 
-from __future__ import annotations
-
 import random
 import struct
 from collections.abc import Callable

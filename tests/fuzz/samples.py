@@ -1,7 +1,5 @@
 """Small real files of every format that is read, written by the libraries of these formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -2,8 +2,6 @@
 Photron, videos.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Processes of a study that can be killed, and files that can be damaged."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

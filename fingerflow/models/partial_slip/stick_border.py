@@ -19,7 +19,7 @@ xi the positions in the window along the border's normal, w the width of the sli
 nothing holds the skin, which moves as its rim does. Displacement below that level counts as stick. A fixed threshold
 (40 um in Terekhov & Hayward 2011) also counts skin that has slipped by less. Dense flow shows less at the border,
 because its support is smaller and it is regularised; its response is measured
-(`pipeline.stages.slip.flow_resolution`). The blur is linear, so the response to a ramp gives that to any g.
+(`pipeline.stages.slip.skin_flow`). The blur is linear, so the response to a ramp gives that to any g.
 """
 
 import math

@@ -29,24 +29,17 @@ class Batch:
     Attributes:
         indices: (n,) frame numbers, from 0 for the first selected frame; ascending or descending by one.
         frames: (n, H, W) pictures; None where no stage of the pass reads them.
+        steps: what the method `step` of each earlier stage of this pass returned.
     """
 
     indices: NDArray[np.intp]
     frames: NDArray[np.generic] | None = None
-    _steps: dict[type["Stage"], Any] = field(default_factory=dict)
-
-    def keep(self, stage: "Stage", result: Any) -> None:
-        """Store what the method `step` of a stage returned, for later stages of this pass."""
-        self._steps[type(stage)] = result
+    steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def images(self, inputs: Inputs, view: View) -> Images:
         """Return the images of a view as the engine of the inputs takes them."""
         assert self.frames is not None
         return inputs.engine.images(inputs.counts(self.frames, view))
-
-    def result(self, stage: type["Stage"]) -> Any:
-        """Return what the method `step` of another stage returned for this batch."""
-        return self._steps[stage]
 
 
 @dataclass
@@ -89,11 +82,10 @@ class Stage:
         same_pass: stages of the same pass whose step of the same frames comes before its own.
         after: stages that must be finished before it begins.
         reads_frames: True if `step` reads pictures.
-        views: names of the views whose images `step` gives to the engine (`Batch.images`).
         follows_border: True if it needs points on both sides of the contact border, from the first frame on.
         settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
-        restored: True if `restore` brings back all that later stages need of it from an earlier result.
+        restored: False if later stages need more of it than `restore` brings back from an earlier result.
         warnings: messages to the user; of the instance.
         series: values (frames, ...) by name of the variables that have a few numbers a frame, NaN until they are set;
             `derive` stores them, with the attributes in `about`.
@@ -106,10 +98,9 @@ class Stage:
     same_pass: ClassVar[tuple[type["Stage"], ...]] = ()
     after: ClassVar[tuple[type["Stage"], ...]] = ()
     reads_frames: ClassVar[bool] = False
-    views: ClassVar[tuple[str, ...]] = ()
     follows_border: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()
-    restored: ClassVar[bool] = False
+    restored: ClassVar[bool] = True
 
     def __init__(self, trial: RunContext) -> None:
         self.trial = trial
@@ -138,6 +129,11 @@ class Stage:
         """
         return None
 
+    @property
+    def first_frame(self) -> int:
+        """Return the number in the file of the first selected frame."""
+        return self.inputs.scene.recording.first_frame
+
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
         """Return the mask (frames,) of the frames that count, once they are checked."""
@@ -156,7 +152,7 @@ class Stage:
         """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
-        """Compute the results of a batch of frames; later stages of the pass get what it returns (`Batch.result`)."""
+        """Compute the results of a batch of frames; later stages of the pass get what it returns (`Batch.steps`)."""
 
     def finish(self) -> None:
         """Compute the results that need all frames, and add warnings, after the last batch."""

@@ -1,7 +1,5 @@
 """Force channels with separate sample times: alignment to the trigger, and resampling at the times of the frames."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -61,7 +59,7 @@ class Forces:
                     f"{self.path}: channel {name!r} has {values.size} samples for {self.times.size} times"
                 )
 
-    def align(self, trigger_level: float) -> Forces:
+    def align(self, trigger_level: float) -> "Forces":
         """Return the forces with the sample times shifted so that the trigger channel first rises through
         `trigger_level` at 0 s.
 

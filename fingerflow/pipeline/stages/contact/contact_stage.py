@@ -48,16 +48,10 @@ class ContactStage(Stage):
     needs = ("views.contact",)
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
-    views: ClassVar[tuple[str, ...]] = ("contact",)
     settings: ClassVar[tuple[str, ...]] = (
-        "kind",
-        "contact",
-        "views.contact",
-        "background",
+        *("kind", "contact", "views.contact", "background", "recording.first_frame"),
         *SCALE_KEYS,
-        "recording.first_frame",
     )
-    restored = True
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -82,12 +76,11 @@ class ContactStage(Stage):
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self.usable))
-        first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
         at_first = self._changed(first)
-        faults = [*plausibility.check_exposure(*at_first, first + first_frame)]
-        self.warnings.extend(faults or plausibility.check_background(at_first[0], first + first_frame))
+        faults = [*plausibility.check_exposure(*at_first, first + self.first_frame)]
+        self.warnings.extend(faults or plausibility.check_background(at_first[0], first + self.first_frame))
         self.reference_frame = self._most_contact()
-        changed = self._changed(self.reference_frame)
+        changed, appears = self._changed(self.reference_frame), self.inputs.scene.contact.appears
         faults = faults or [*plausibility.check_contrast(*changed, appears, self.largest_load())]
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
         self._threshold = self._fixed_threshold(faults)
@@ -126,7 +119,6 @@ class ContactStage(Stage):
 
     def finish(self) -> None:
         """Store contact areas and ellipses of all frames; warn if the illumination changed by an unknown factor."""
-        first_frame = self.inputs.scene.recording.first_frame
         if self._several_parts:
             self.series["real_contact_area"] -= self._outside
         for values in (*self.series.values(), self._gain):
@@ -134,7 +126,7 @@ class ContactStage(Stage):
         self._blind &= self.usable
         gains = self._gain[np.isfinite(self._gain)]
         if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
-            first = int(np.argmax(self._blind)) + first_frame
+            first = int(np.argmax(self._blind)) + self.first_frame
             self.warnings.append(
                 f"brightness differs from the empty picture; areas in {int(self._blind.sum())} frames, the first is "
                 f"{first}, may be wrong: the finger covers the glass that would show by how much. Leave some glass "
@@ -143,14 +135,14 @@ class ContactStage(Stage):
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
-        self.warnings.extend(plausibility.check_areas(real, gross, area, radius, first_frame))
+        self.warnings.extend(plausibility.check_areas(real, gross, area, radius, self.first_frame))
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
-            self.warnings.extend(plausibility.check_missing_frames(gross, normal, first_frame))
-        self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, first_frame))
+            self.warnings.extend(plausibility.check_missing_frames(gross, normal, self.first_frame))
+        self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, self.first_frame))
         if normal is not None:
             self.warnings.extend(plausibility.check_pressure(normal, gross))
-            self.warnings.extend(plausibility.check_onset(normal, gross, first_frame))
+            self.warnings.extend(plausibility.check_onset(normal, gross, self.first_frame))
             self.warnings.extend(plausibility.check_growth(normal, gross))
         faint = {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
         self.about["gross_contact_area"] = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} | faint
@@ -234,9 +226,8 @@ class ContactStage(Stage):
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
         usable = np.flatnonzero(self.usable)
-        first_frame = self.inputs.scene.recording.first_frame
         pictures = (
-            (frame + first_frame, self._counts(frame)[0] - self._black)
+            (frame + self.first_frame, self._counts(frame)[0] - self._black)
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
         self.warnings.extend(view_faults.check_moved_glass(pictures, light, away))
@@ -274,7 +265,7 @@ class ContactStage(Stage):
             count = int(outside.sum())
             self._outside[index] = count * pixel_mm2[k]
             if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
-                frame = index + self.inputs.scene.recording.first_frame
+                frame = index + self.first_frame
                 several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)]
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
@@ -374,5 +365,5 @@ class ContactStage(Stage):
         """Return in words which frame is expected to have most contact: by the normal force or, where it is unknown, by
         the darkest contact view.
         """
-        frame = self.reference_frame + self.inputs.scene.recording.first_frame
+        frame = self.reference_frame + self.first_frame
         return f"the darkest frame ({frame})" if self._usable_force() is None else f"the largest force (frame {frame})"

@@ -74,6 +74,7 @@ class DeformationStage(Stage):
     name = "deformation"
     gives = (*DISPLACEMENT, *FIELDS)
     needs = ("views.topography",)
+    restored = False
     after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
         *("kind", "fields.gauge_length_mm", "fields.reference", "fields.strain", "fields.rate_window_s"),
@@ -91,10 +92,10 @@ class DeformationStage(Stage):
         self._median, self._variance = np.full((2, len(trial), 5), np.nan)
 
     def begin(self) -> None:
-        inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
+        inputs = self.inputs
         status = self.results["frame_status"][:]
         self.reference_of = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
-        self._attributes = self.reference_of.attributes(first_frame)
+        self._attributes = self.reference_of.attributes(self.first_frame)
         then = self.reference_of.frame
         self.by_onsets = then is None
         points = self.results["position"].shape[1]
@@ -137,7 +138,7 @@ class DeformationStage(Stage):
         if self.by_onsets:
             if pressed:
                 gross = self.results["gross_contact_area"][:]
-                self.warnings.extend(plausibility.check_beginning(gross, first_frame))
+                self.warnings.extend(plausibility.check_beginning(gross, self.first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
             self.common_position, self.some_later = common, bool(self._later.any())
@@ -150,7 +151,7 @@ class DeformationStage(Stage):
             self.independent = self.of_onset[:, 0, 0]
             self._warn_of_unknown()
         self.entered = np.flatnonzero(moves_in)
-        self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
+        self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + self.first_frame), point=points)
         # Skin that touches from the first frame on came into contact at an unknown time. Displacement counts from a
         # time between frames; whole frames, of the coverage alone, are off by more: measured on real prints.
         variance = np.where(self.onset_variance > 0, 0.12 + 2.1 * self.onset_variance, np.nan)
@@ -253,8 +254,8 @@ class DeformationStage(Stage):
                 self.series[name] = values[:, columns]
         self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
         gross, known = self.results["gross_contact_area"][:], self.series["field_coverage"]
-        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_fields(self._median[:, 0], known, gross, gauge, first_frame))
+        of_frames = self._median[:, 0], known, gross, self._settings.gauge_length_mm
+        self.warnings.extend(plausibility.check_fields(*of_frames, self.first_frame))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

@@ -34,7 +34,6 @@ class FrameCheckStage(Stage):
     needs = ("views.contact",)
     reads_frames = True
     settings = ("background", "contact.appears", "views.contact", "views.topography", "recording.first_frame")
-    restored = True
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -96,14 +95,14 @@ class FrameCheckStage(Stage):
         faults = [(meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1)]
         faults = [(meaning, frames) for meaning, frames in faults if len(frames)]
         for meaning, frames in faults:
-            numbers = frames + self.inputs.scene.recording.first_frame
+            numbers = frames + self.first_frame
             why = f" ({reasons[int(frames[0])]})" if status[frames[0]] == UNREADABLE else ""
             self.warnings.append(
                 f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
             )
         doubtful = self.inputs.recording.doubtful
         if doubtful:
-            numbers = np.array(sorted(doubtful)) + self.inputs.scene.recording.first_frame
+            numbers = np.array(sorted(doubtful)) + self.first_frame
             self.warnings.append(
                 f"{self.inputs.recording.path}: the decoder reported errors at {_listed(numbers)} "
                 f"({doubtful[min(doubtful)]}); their pixels may be wrong: copy the file again"

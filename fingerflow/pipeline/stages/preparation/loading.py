@@ -34,7 +34,6 @@ class LoadingStage(Stage):
     name = "loading"
     gives = LOADING
     settings = ("kind", "forces", "recording.times", "recording.trigger_frame")
-    restored = True
 
     def begin(self) -> None:
         settings, inputs = self.inputs.scene.forces, self.inputs
@@ -111,14 +110,10 @@ def _channels(settings: ForceSettings) -> dict[str, str | int]:
 
 def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sensor]:
     """Return the calibration of each force channel: gain, sign, offset and tare."""
-
-    def pick(setting: float | tuple[float, ...] | None, number: int) -> float | None:
-        return setting[number] if isinstance(setting, tuple) else setting
-
-    return {
-        name: (pick(settings.gain, k), pick(settings.sign, k) or 1.0, pick(settings.offset, k), settings.tare)
-        for k, name in enumerate(forces)
-    }
+    stated = (settings.gain, settings.sign, settings.offset)
+    by_channel = [values if isinstance(values, tuple) else (values,) * len(forces) for values in stated]
+    of_each = zip(forces, *by_channel, strict=False)
+    return {name: (gain, sign or 1.0, offset, settings.tare) for name, gain, sign, offset in of_each}
 
 
 def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> tuple[float, float]:

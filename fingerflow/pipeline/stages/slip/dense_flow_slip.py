@@ -11,8 +11,7 @@ from torch import Tensor
 
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
-from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
+from fingerflow.pipeline.stages.slip.skin_flow import FlowResponse, SkinFlow
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
@@ -75,7 +74,6 @@ class DenseFlowSlipStage(SlipStage):
 
     def finish(self) -> None:
         super().finish()
-        first = self.inputs.scene.recording.first_frame
         if self._flow is not None and self._flow.renewed:
             self.warnings.append(
                 f"the skin could not be compared with the first frame to the end: {self._flow.renewed} later frames "
@@ -83,15 +81,15 @@ class DenseFlowSlipStage(SlipStage):
             )
         if self._lost:
             self.warnings.append(
-                f"in {len(self._lost)} frames, the first is {self._lost[0] + first}, dense flow and light explain less "
-                f"than half of the skin: it is left out there"
+                f"in {len(self._lost)} frames, the first is {self._lost[0] + self.first_frame}, dense flow and light "
+                f"explain less than half of the skin: it is left out there"
             )
         disagreeing = np.flatnonzero(self._apart > _DISAGREE)
         if len(disagreeing):
             worst, median = int(np.nanargmax(self._apart)), self.series["dense_flow_difference"]
             self.warnings.append(
                 f"in {len(disagreeing)} frames dense flow and tracked points differ by more than {_DISAGREE:.0f} of "
-                f"their standard deviations in the median, most in frame {worst + first} "
+                f"their standard deviations in the median, most in frame {worst + self.first_frame} "
                 f"({1000 * median[worst]:.1f} µm): one of them is wrong. Look at the video, and take [slip] "
                 f'displacement = "points" where the flow departs'
             )

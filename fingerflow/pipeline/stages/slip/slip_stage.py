@@ -348,7 +348,7 @@ class SlipStage(Stage):
         coverage = self.series["slip_coverage"]
         low = np.flatnonzero(coverage < LEAST_COVERAGE)
         if len(low):
-            first = int(low[0]) + self.inputs.scene.recording.first_frame
+            first = int(low[0]) + self.first_frame
             self.warnings.append(
                 f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less "
                 f"than {LEAST_COVERAGE:.0%} of the contact, down to {np.min(coverage[low]):.0%}: their stuck "

@@ -70,6 +70,7 @@ class StrainStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
+        self._elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         self._energy, self._energy_std, self._between, self._between_std = [self.series[name] for name in _ENERGIES]
         self._misfit = np.zeros(len(trial), bool)
 
@@ -78,14 +79,12 @@ class StrainStage(Stage):
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
-        self._since = moved.reference_of.attributes(self.inputs.scene.recording.first_frame)
+        self._since = moved.reference_of.attributes(self.first_frame)
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
-        for name in ("strain", "strain_std", "strain_energy_density", "strain_energy_density_std"):
+        principal = {"principal_strains", "principal_angle"} & self.trial.requested
+        for name in ("strain", "strain_std", "strain_energy_density", "strain_energy_density_std", *sorted(principal)):
             self.results.create(name, self._since if "energy" in name else measure)
-        self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
-        for name in sorted(self._principal):
-            self.results.create(name, measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
         corners = torch.from_numpy(skin.corners).long()
         # A triangle with a corner that was lost when it touched has no area, and no strain.
@@ -100,12 +99,10 @@ class StrainStage(Stage):
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
         self._shared = tuple(torch.from_numpy(values).to(device) for values in shared)
         self._missing = MissingEnergy(self._areas)
-        elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
-        contact = self.trial.stage(ContactStage)
         # Energy lacks a faint rim of the contact and, of the rest, the displacement before the later onset.
-        faint_mm = 2 * contact.faint_rim_mm
+        faint_mm = 2 * self.trial.stage(ContactStage).faint_rim_mm
         self._border_mm = np.hypot(BORDER_MM, faint_mm)
-        self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset), faint_mm)
+        self._whole = ContactEnergy(self._settings.strain, self._elastic, *shared[1:], len(moved.onset), faint_mm)
         self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
         self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
@@ -120,7 +117,7 @@ class StrainStage(Stage):
         self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
 
     def step(self, batch: Batch) -> None:
-        moved, noise, curvature = self._skin.moved(batch.result(DeformationStage), batch.indices)
+        moved, noise, curvature = self._skin.moved(batch.steps[DeformationStage], batch.indices)
         touching = self._sum_corners(self.results["in_contact"][batch.indices]) >= 2
         touching &= (batch.indices[:, None] >= self._skin.begins) & (batch.indices[:, None] < self._skin.ends)
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
@@ -131,19 +128,14 @@ class StrainStage(Stage):
         displacement = self.inputs.tensor(moved)
         corrected = self._triangle_strain(displacement, covariance, touching)
         stated = self._triangle_strain(displacement, whole, touching)
-        solid = self._settings.young_modulus_mpa, self._settings.poisson_ratio
-        for name, values in (
-            ("strain", corrected.strain),
-            ("strain_std", stated.strain_std),
-            ("strain_energy_density", corrected.density),
-            ("strain_energy_density_std", strain_energy_density_std(corrected.strain, stated.strain_std, *solid)),
-        ):
-            self.results[name][batch.indices] = values.cpu().numpy()
-        if self._principal:
-            strains, angle = principal_strains(corrected.strain)
-            both = {"principal_strains": strains, "principal_angle": angle}
-            for name in self._principal:
-                self.results[name][batch.indices] = both[name].cpu().numpy()
+        density_std = strain_energy_density_std(corrected.strain, stated.strain_std, *self._elastic)
+        values = {"strain": corrected.strain, "strain_std": stated.strain_std}
+        values |= {"strain_energy_density": corrected.density, "strain_energy_density_std": density_std}
+        if {"principal_strains", "principal_angle"} & self.trial.requested:
+            values["principal_strains"], values["principal_angle"] = principal_strains(corrected.strain)
+        for name, computed in values.items():
+            if name in self.results:
+                self.results[name][batch.indices] = computed.cpu().numpy()
         deviation = stated.energy_std.cpu().numpy()
         if not self._begins_free:
             deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, touching))
@@ -188,7 +180,7 @@ class StrainStage(Stage):
         """
         frames, border = batch.indices, self._border.select(batch.indices)
         steady = self.trial.stage(DeformationStage).steady_position
-        position, moved = steady(frames), batch.result(DeformationStage)
+        position, moved = steady(frames), batch.steps[DeformationStage]
         # Skin that was in contact when its points were seeded has no strain, and that of the rest is not its own.
         seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
         counted = (seen & np.isfinite(moved.displacement[..., 0])).sum(1)
@@ -268,8 +260,11 @@ class StrainStage(Stage):
 
     def finish(self) -> None:
         gross, depth = self.results["gross_contact_area"][:], self._settings.depth_mm
-        gauge, first_frame = self.inputs.scene.fields.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_energy(self._energy, gross, self._misfit, gauge, first_frame))
+        self.warnings.extend(
+            plausibility.check_energy(
+                self._energy, gross, self._misfit, self._settings.gauge_length_mm, self.first_frame
+            )
+        )
         for name in _ENERGIES:
             # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
             self.series[name] = np.where(gross == 0, 0.0, depth * self.series[name])

@@ -55,13 +55,11 @@ class TrackingStage(Stage):
     same_pass = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
-    views: ClassVar[tuple[str, ...]] = ("topography",)
     settings: ClassVar[tuple[str, ...]] = (
         *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
         *("contact.appears", "contact.gross_radius_px"),
         *(*SCALE_KEYS, "calibration.topography_to_contact"),
     )
-    restored = True
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -113,7 +111,7 @@ class TrackingStage(Stage):
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
-        margin = batch.result(ContactStage).density_margin
+        margin = batch.steps[ContactStage].density_margin
         images = batch.images(self.inputs, self._view)
         numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self.usable[batch.indices])) + 1
         # New skin is searched, and windows are compared, where templates are checked.
@@ -170,9 +168,8 @@ class TrackingStage(Stage):
         self.series["forward_backward_median"][indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
-        first_frame = self.inputs.scene.recording.first_frame
         shares = self.series["tracked_share"], self.series["window_differs_share"], self._held
-        self.warnings.extend(plausibility.check_tracking(*shares, first_frame))
+        self.warnings.extend(plausibility.check_tracking(*shares, self.first_frame))
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
