@@ -59,13 +59,14 @@ class FrameResults:
         geometry: of the views.
 
     Attributes:
+        on_glass: conversion of contact sizes to mm.
         entries: entries of the current points into the contact.
     """
 
     def __init__(self, engine: Engine, geometry: Geometry) -> None:
         self._engine, self._geometry = engine, geometry
         self._to_contact = geometry.topography_to_contact.astype(np.float32)
-        self._on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
+        self.on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
         self.entries = Entries(engine, np.zeros((0, 2)))
@@ -87,7 +88,7 @@ class FrameResults:
             self._begin(seeding, covered[0])
         self._frames += 1
         variance = points.variance  # by image noise
-        curvature, sizes = self._curvature.update(points.points), self._on_glass.sizes(contact)
+        curvature, sizes = self._curvature.update(points.points), self.on_glass.sizes(contact)
         if sizes.gross[0] > self._gross:
             self._gross, self._faint_mm = float(sizes.gross[0]), sparse_border_mm(sizes.real, sizes.gross)
         residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])

@@ -442,7 +442,7 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            touching = float(self._contact(outcome).gross_area_px[0]) * self.geometry.mm_per_px**2 >= _LEAST_MM2
+            touching = self._results.on_glass.sizes(self._contact(outcome)).gross[0] >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
@@ -464,8 +464,8 @@ class StreamTracker:
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact(work), self.geometry.mm_per_px
-        area = float(contact.gross_area_px[0]) * size**2
+        contact = self._contact(work)
+        area = float(self._results.on_glass.sizes(contact).gross[0])
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
         points = int(np.add.reduce(covered & (tracked_points.status[0] == TRACKED)))
@@ -473,7 +473,7 @@ class StreamTracker:
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None
         # px², product of the semi-axes of the seeding region.
-        product = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
+        product = self._settings.points * (_DENSE * gauge) ** 2 * float(contact.gross_area_px[0]) / area / math.pi
         major, minor = (float(axis) for axis in contact.semi_axes[0])
         more = (math.hypot(major - minor, 2 * math.sqrt(product)) - major - minor) / 2
         axes = np.array([major, minor])

@@ -258,13 +258,14 @@ class ContactStage(Stage):
 
     def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> list[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
-        counts, size = self.inputs.counts(frame, self._view), self.inputs.mm_per_px
+        counts = self.inputs.counts(frame, self._view)
         lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
-        gross, whole = (float(seen.gross_area_px[0]) * size**2 for seen in (contact, lower))
+        sizes = self._on_glass.sizes(contact)
+        gross, real, whole = (float(area[0]) for area in (sizes.gross, sizes.real, self._on_glass.sizes(lower).gross))
         self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
         region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
-        rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
+        rim = max(self._pale_rim_mm, thin)
         sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
@@ -277,7 +278,7 @@ class ContactStage(Stage):
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
         if contact.real_contact_mask is None:
             return
-        radius_px, size = self.inputs.scene.contact.gross_radius_px, self.inputs.mm_per_px
+        radius_px = self.inputs.scene.contact.gross_radius_px
         cell_px, masks, region = self.cell_px, contact.real_contact_mask[:, 0], contact.density_margin[:, 0] > 0
         # Every pixel is looked at where sampled ones show a fourth of what is warned of.
         away = view_faults.outside_region(region.any(0), cell_px, radius_px)
@@ -290,7 +291,7 @@ class ContactStage(Stage):
             self._outside[index] = count * pixel_mm2[k]
             if self._usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.inputs.scene.recording.first_frame
-                several = view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)
+                several = view_faults.check_second_contact(outside, self._second_px, radius_px, pixel_mm2[k], frame)
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
 

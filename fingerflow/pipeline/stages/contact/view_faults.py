@@ -81,7 +81,7 @@ def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
     return np.asarray(touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
 
 
-def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_px: float, frame: int) -> list[str]:
+def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_mm2: float, frame: int) -> list[str]:
     """Return a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
     knuckle.
 
@@ -99,8 +99,8 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
     if real < DENSITY * area:
         return []
     return [
-        f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of real "
-        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain energy are "
+        f"a second contact lies in the view, as of another finger or a knuckle: {real * pixel_mm2:.2g} mm² of real "
+        f"contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain energy are "
         f"of the densest part alone (at ellipse_center) where the two are apart, of both where they merge. Leave the "
         f"other out by views.contact.region, or press with one finger"
     ]
