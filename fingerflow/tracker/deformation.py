@@ -25,11 +25,10 @@ Array = NDArray[Any]
 EVERY = 8
 # Errors of divergence, curl, exx, eyy and exy over a gauge length that tracked points have in common as their skin
 # begins to touch and looks different, in deviations of a displacement: on presses with hardly any deformation.
-_COMMON = 0.9 * np.sqrt((1, 1, 1 / 2, 1 / 2, 1 / 4))
+_COMMON = 0.4 * np.sqrt((1, 1, 1 / 2, 1 / 2, 1 / 4))
 # Those that image noise does not change: light and contrast of the ridges vary across a window near the border, so that
-# positions at onset are up to 0.04 px off towards the contact. Measured on presses of the skin chain with noise of 0.5
-# to 5 grey levels.
-_AT_BORDER = 1e-3 * np.array((1, 0, 0.3, 0.3, 0))
+# positions at onset are up to 0.04 px off towards the contact. Measured on presses of real prints and the skin chain.
+_AT_BORDER = 6e-4 * np.array((1, 0, 0.3, 0.3, 0))
 
 
 class SkinFrames(NamedTuple):
