@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
@@ -23,12 +22,10 @@ Array = NDArray[Any]
 
 #: Frames between two evaluations of what changes slowly: errors by gauge length and border.
 EVERY = 8
-# Errors of divergence, curl, exx, eyy and exy over a gauge length that tracked points have in common as their skin
-# begins to touch and looks different, in deviations of a displacement: on presses with hardly any deformation.
-_COMMON = 0.4 * np.sqrt((1, 1, 1 / 2, 1 / 2, 1 / 4))
-# Those that image noise does not change: light and contrast of the ridges vary across a window near the border, so that
-# positions at onset are up to 0.04 px off towards the contact. Measured on presses of real prints and the skin chain.
-_AT_BORDER = 6e-4 * np.array((1, 0, 0.3, 0.3, 0))
+# Errors of the medians of divergence, curl, exx, eyy and exy that tracked points have in common as their skin begins to
+# touch and looks different. Light and contrast of the ridges vary across a window near the border, so that positions at
+# onset are off towards the contact. Measured on presses with hardly any deformation, of real prints and the skin chain.
+_COMMON = 1e-4 * np.array((6.4, 2.1, 2.3, 2.3, 1.1))
 
 
 class SkinFrames(NamedTuple):
@@ -172,9 +169,7 @@ class Deformation:
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
             bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
             if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
-                gauge = self._engine.settings.gauge_length_mm
-                of_noise = nanmedian(noise[rows])[:, None]
-                bias += np.square(_COMMON / gauge) * of_noise + np.square(_AT_BORDER)
+                bias += np.square(_COMMON)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
                 self.latest = np.where(np.isfinite(values), values, self.latest)

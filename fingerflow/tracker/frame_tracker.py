@@ -45,6 +45,7 @@ from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
+from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import is_finite
 from fingerflow.tracker.points import STREAM, Points
@@ -60,6 +61,7 @@ _REKEY_SHARE = 0.8
 # frames.
 _LEARNT_AFTER = 2
 _LOOK_EVERY = 2  # frames between two counts of the points in contact
+_LARGER = 1.05  # least ratio of contact areas at which the image of the larger contact is kept
 _LEAST_MM2 = 1.0  # mm², least area of a contact whose points are counted
 # Spacings of points in gauge lengths. The first is the largest with which fits have neighbours up to the border: in a
 # stream of the fast recipe, medians are unknown in 24 % of the frames with 1/3 and in 0.5 % with 0.3. The second is
@@ -221,6 +223,7 @@ class StreamTracker:
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
+        self._largest: tuple[Images, FrameContact] | None = None  # contact view with the largest contact, and contact
         # Outcomes of frames whose contact is not evaluated yet: its area tells when to measure the threshold again, and
         # tracked points in it are counted. With the index of the latest frame when the outcome was decided, and the
         # number of the frame, as a `Frame` with results is reused for another image.
@@ -294,7 +297,10 @@ class StreamTracker:
         """
         if outcome.points is None or outcome.seeding is None:
             return None
-        results = self._results.compute(outcome.seeding, self._contact(outcome), outcome.points)
+        contact = self._contact(outcome)
+        results = self._results.compute(outcome.seeding, contact, outcome.points)
+        if contact.gross_area_px[0] > _LARGER * (self._largest[1].gross_area_px[0] if self._largest else 0):
+            self._largest = outcome.images[CONTACT_VIEW].copy(), contact
         if self._points is not None:
             self._points.prepare_ahead()
         return results
@@ -309,6 +315,16 @@ class StreamTracker:
         without one. Safe in any thread.
         """
         return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
+
+    def check_faint_rim(self) -> list[str]:
+        """Return a warning if the largest contact so far is faint at its rim. Safe in any thread."""
+        if self._largest is None:
+            return []
+        image, contact = self._largest
+        whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
+        gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
+        radius = self._engine.settings.gross_radius_px
+        return check_faint_rim(pale_rim_mm(gross, lower), gross, float(contact.threshold[0]), radius, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""

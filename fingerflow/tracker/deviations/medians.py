@@ -19,13 +19,9 @@ Array = NDArray[Any]
 
 
 def bias_variance(
-    engine: Engine,
-    reference: Array,
-    displacement: Array,
-    ellipse: FrameEllipse,
-    fields: FrameFields,
+    engine: Engine, reference: Array, displacement: Array, ellipse: FrameEllipse, fields: FrameFields,
     entered: EnteredPoints | None = None,
-) -> tuple[NDArray[np.float64], FrameFields]:
+) -> tuple[NDArray[np.float64], FrameFields]:  # fmt: skip
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy in n frames by the gauge length
     and by the border, NaN where a contact is too small for twice the gauge length; and the fields with that length.
 
@@ -97,8 +93,7 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
 
     share = share[rows, None]
     result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
-    if entered is not None:
-        result[rows] += squared_half_range(np.sqrt(came[rows, None]))
+    result[rows] += squared_half_range(np.sqrt(came[rows, None]))
     return result
 
 

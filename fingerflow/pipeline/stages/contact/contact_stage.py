@@ -21,6 +21,7 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT, sparse_border_mm
+from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
 _LEAST_LIGHT = 0.1
@@ -259,17 +260,17 @@ class ContactStage(Stage):
     def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> list[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
         counts = self.inputs.counts(frame, self._view)
-        lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
+        lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
         sizes = self._on_glass.sizes(contact)
         gross, real, whole = (float(area[0]) for area in (sizes.gross, sizes.real, self._on_glass.sizes(lower).gross))
-        self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
+        self._pale_rim_mm = pale_rim_mm(gross, whole)
         region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
         rim = max(self._pale_rim_mm, thin)
         sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
-        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
+        warnings = check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
         return warnings or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(
