@@ -130,14 +130,11 @@ class Player:
         self._newest: tuple[int, float] | None = None
         self._measured: tuple[int, float] | None = None
         self._clock, self._size = CameraClock(), played.size
-        self._stop = threading.Event()
-        self._finished = threading.Event()
+        self._stop, self._finished = threading.Event(), threading.Event()
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # time since which the source has been waited for
-        self._first = math.nan
-        self._findings = Findings()
-        self._drawing = False  # True while a frame is queued for the page
-        self._last_trouble, self._vibrates = "", False
+        self._findings, self._drawing = Findings(), False  # the second is True while a frame is queued for the page
+        self._first, self._last_trouble, self._vibrates, self._faint = math.nan, "", False, False
 
     def run(self) -> dict[str, Any]:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
@@ -195,17 +192,20 @@ class Player:
         return self.summary() | {"warnings": self._warnings}
 
     def _log_findings(self) -> None:
-        self._warn_of_vibration()
+        self._log_faults()
         few, missing = self._findings.unknown_medians(), self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
         if few and not any(few in sentence for sentence in missing):
             log.info("%s", few)
 
-    def _warn_of_vibration(self) -> None:
-        """Log once that the whole image vibrates. Slides are left out: skin in contact and skin beside it may tremble
-        together there.
+    def _log_faults(self) -> None:
+        """Log once that the rim of the contact is faint, and once that the whole image vibrates. Slides are left out of
+        the second: skin in contact and skin beside it may tremble together there.
         """
+        for sentence in () if self._faint else self._tracker.check_faint_rim():
+            self._faint = True
+            log.warning("%s", sentence)
         if not self._vibrates and self.scene.kind != "slip" and (size := self._tracker.vibration_px()):
             self._vibrates = True
             log.warning("%s", vibration_warning(size, "displacement and strain contain this motion"))
@@ -316,7 +316,7 @@ class Player:
                 log.info("%s", self._line(self.recent))
             if now - checked >= _VIBRATION_INTERVAL:
                 checked = now
-                self._warn_of_vibration()
+                self._log_faults()
             self._behind = self._falls_behind(now)
 
     def _falls_behind(self, now: float) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
@@ -23,13 +22,10 @@ Array = NDArray[Any]
 
 #: Frames between two evaluations of what changes slowly: errors by gauge length and border.
 EVERY = 8
-# Errors of divergence, curl, exx, eyy and exy over a gauge length that tracked points have in common as their skin
-# begins to touch and looks different, in deviations of a displacement: on presses with hardly any deformation.
-_COMMON = 0.9 * np.sqrt((1, 1, 1 / 2, 1 / 2, 1 / 4))
-# Those that image noise does not change: light and contrast of the ridges vary across a window near the border, so that
-# positions at onset are up to 0.04 px off towards the contact. Measured on presses of the skin chain with noise of 0.5
-# to 5 grey levels.
-_AT_BORDER = 1e-3 * np.array((1, 0, 0.3, 0.3, 0))
+# Errors of the medians of divergence, curl, exx, eyy and exy that tracked points have in common as their skin begins to
+# touch and looks different. Light and contrast of the ridges vary across a window near the border, so that positions at
+# onset are off towards the contact. Measured on presses with hardly any deformation, of real prints and the skin chain.
+_COMMON = 1e-4 * np.array((6.4, 2.1, 2.3, 2.3, 1.1))
 
 
 class SkinFrames(NamedTuple):
@@ -177,10 +173,9 @@ class Deformation:
             bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
             of_onset, counts = since.onset[..., 0, 0], np.isfinite(moved[rows, :, 0])
             counted = (np.broadcast_to(of_onset, noise.shape)[rows] > 0) & counts
-            gauge, of_noise = self._engine.settings.gauge_length_mm, nanmedian(noise[rows])[:, None]
-            common = np.square(_COMMON / gauge) * of_noise + np.square(_AT_BORDER)
             # Where most points in contact have displacements since their onset.
-            bias += np.where(counted.sum(1, keepdims=True) > counts.sum(1, keepdims=True) / 2, common, 0)
+            from_onset = counted.sum(1, keepdims=True) > counts.sum(1, keepdims=True) / 2
+            bias += np.where(from_onset, np.square(_COMMON), 0)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
                 course.append(np.where(np.isfinite(values), values, course[-1]))

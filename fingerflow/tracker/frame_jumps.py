@@ -40,13 +40,9 @@ def ordinary_values(steps: SquaredDistances, excesses: SquaredDistances) -> Ordi
 
 
 def is_jump(
-    into: SquaredDistances,
-    out_of: SquaredDistances,
-    between: SquaredDistances,
-    within: SquaredDistances,
-    usual: SquaredDistances,
-    ordinary: Ordinary,
-) -> bool:
+    into: SquaredDistances, out_of: SquaredDistances, between: SquaredDistances, within: SquaredDistances,
+    usual: SquaredDistances, ordinary: Ordinary,
+) -> bool:  # fmt: skip
     """Return True if the image jumps away in some frames and returns behind them, in any row (a band of lines, the
     whole view or the brightness) of squared image distances (..., rows).
 
@@ -158,14 +154,9 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
 
 
 def _length_of_jump(
-    distances: SquaredDistances,
-    before: SquaredDistances,
-    after: SquaredDistances,
-    last: int,
-    frame: int,
-    usable: NDArray[np.bool_],
-    ordinary: Ordinary,
-) -> int:
+    distances: SquaredDistances, before: SquaredDistances, after: SquaredDistances, last: int, frame: int,
+    usable: NDArray[np.bool_], ordinary: Ordinary,
+) -> int:  # fmt: skip
     """Return for how many frames the image jumps away, from `frame` on, until the image of `last`, the usable frame
     before, is back; 0 if there is no such jump.
 

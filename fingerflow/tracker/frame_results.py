@@ -60,13 +60,14 @@ class FrameResults:
         geometry: of the views.
 
     Attributes:
+        on_glass: conversion of contact sizes to mm.
         entries: entries of the current points into the contact.
     """
 
     def __init__(self, engine: Engine, geometry: Geometry) -> None:
         self._engine, self._geometry = engine, geometry
         self._to_contact = geometry.topography_to_contact.astype(np.float32)
-        self._on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
+        self.on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
         self.entries = Entries(engine, np.zeros((0, 2)))
@@ -98,7 +99,7 @@ class FrameResults:
             return {name: np.concatenate([part[name] for part in parts]) for name in RESULTS}
         numbers = self._frames + 1 + np.arange(len(covered))
         variance = points.variance  # by image noise
-        curvature, sizes = self._curvature.update(points.points), self._on_glass.sizes(contact)
+        curvature, sizes = self._curvature.update(points.points), self.on_glass.sizes(contact)
         noise_px, self._sizes = np.sqrt(variance), sizes
         residual, slipping = np.empty(len(covered)), np.empty(len(covered), dtype=bool)
         for k in range(len(covered)):

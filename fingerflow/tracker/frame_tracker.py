@@ -34,7 +34,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -45,6 +45,7 @@ from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
+from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.frame_results import FrameResults, Record, Seeding
 from fingerflow.tracker.point_prediction import is_finite
 from fingerflow.tracker.points import STREAM, Points
@@ -60,6 +61,7 @@ _REKEY_SHARE = 0.8
 # frames.
 _LEARNT_AFTER = 2
 _LOOK_EVERY = 2  # frames between two counts of the points in contact
+_LARGER = 1.05  # least ratio of contact areas at which the image of the larger contact is kept
 _LEAST_MM2 = 1.0  # mm², least area of a contact whose points are counted
 # Spacings of points in gauge lengths. The first is the largest with which fits have neighbours up to the border: in a
 # stream of the fast recipe, medians are unknown in 24 % of the frames with 1/3 and in 0.5 % with 0.3. The second is
@@ -229,6 +231,7 @@ class StreamTracker:
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
+        self._largest: tuple[Images, FrameContact] | None = None  # contact view with the largest contact, and contact
         # Outcomes of frames whose contact is not evaluated yet: its area tells when to measure the threshold again, and
         # tracked points in it are counted. With the index of the latest frame when the outcome was decided, and the
         # number of the frame, as a `Frame` with results is reused for another image.
@@ -304,10 +307,13 @@ class StreamTracker:
         """
         seeding, tracked = outcomes[0].seeding, [outcome.points for outcome in outcomes if outcome.points is not None]
         assert seeding is not None
+        contacts = [self._contact(outcome) for outcome in outcomes]
         # The results do not use the mask, the largest part of a contact.
-        contact = joined([self._contact(outcome)._replace(real_contact_mask=None) for outcome in outcomes])
+        contact = joined([each._replace(real_contact_mask=None) for each in contacts])
         results = self._results.compute(seeding, contact, joined(tracked))
-        for _ in outcomes:
+        for outcome, contact in zip(outcomes, contacts, strict=True):
+            if contact.gross_area_px[0] > _LARGER * (self._largest[1].gross_area_px[0] if self._largest else 0):
+                self._largest = outcome.images[CONTACT_VIEW].copy(), contact
             if self._points is not None:
                 self._points.prepare_ahead()
         return results
@@ -322,6 +328,16 @@ class StreamTracker:
         without one. Safe in any thread.
         """
         return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
+
+    def check_faint_rim(self) -> Iterator[str]:
+        """Return a warning if the largest contact so far is faint at its rim. Safe in any thread."""
+        if self._largest is None:
+            return iter(())
+        image, contact = self._largest
+        whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
+        gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
+        radius = self._engine.settings.gross_radius_px
+        return check_faint_rim(pale_rim_mm(gross, lower), gross, float(contact.threshold[0]), radius, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
@@ -455,7 +471,7 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            touching = float(self._contact(outcome).gross_area_px[0]) * self.geometry.mm_per_px**2 >= _LEAST_MM2
+            touching = self._results.on_glass.sizes(self._contact(outcome)).gross[0] >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
@@ -477,8 +493,8 @@ class StreamTracker:
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact(work), self.geometry.mm_per_px
-        area = float(contact.gross_area_px[0]) * size**2
+        contact = self._contact(work)
+        area = float(self._results.on_glass.sizes(contact).gross[0])
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
         points = int(np.add.reduce(covered & (tracked_points.status[0] == TRACKED)))
@@ -486,7 +502,7 @@ class StreamTracker:
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None
         # px², product of the semi-axes of the seeding region.
-        product = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
+        product = self._settings.points * (_DENSE * gauge) ** 2 * float(contact.gross_area_px[0]) / area / math.pi
         major, minor = (float(axis) for axis in contact.semi_axes[0])
         more = (math.hypot(major - minor, 2 * math.sqrt(product)) - major - minor) / 2
         axes = np.array([major, minor])

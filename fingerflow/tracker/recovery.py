@@ -31,14 +31,9 @@ def lost_points(status: Array) -> Array:
 
 
 def recover(
-    points: TrackedPoints,
-    guess: Array,
-    searchable: Array,
-    track: Track,
-    search: Search,
-    most: int | None = None,
+    points: TrackedPoints, guess: Array, searchable: Array, track: Track, search: Search, most: int | None = None,
     by_neighbours: Callable[[TrackedPoints], Array] | None = None,
-) -> tuple[TrackedPoints, Array]:
+) -> tuple[TrackedPoints, Array]:  # fmt: skip
     """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2); return all points,
     and which of them (N,) were searched for, or tracked again where their neighbours predict them.
 

@@ -8,17 +8,16 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow import load_scene, player, process
+from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameContact
 from fingerflow.recordings.lens import Geometry, Lens
-from fingerflow.results.stream_result import open_stream
-from fingerflow.schema.recipe import Recipe, ViewRecipe
 from fingerflow.schema.scene_tables import CalibrationSettings
 from fingerflow.schema.views import View
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
-from tests.small_trials import SMALL_PRESS, edit, write_library_bundle, write_small
+from tests.silent.case import played
+from tests.small_trials import SMALL_PRESS, edit, write_small
 
 SIZES = ["real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes"]
 _ROWS, _COLUMNS = SMALL_PRESS.frame_shape
@@ -129,10 +128,7 @@ def test_a_stream_is_corrected_as_a_recording_is(ideal: Path, tmp_path: Path) ->
     scene = _with_lens(_record_through(LENSES["barrel"], ideal.parent, tmp_path / "seen"), LENSES["barrel"])
     edit(scene, ('threshold = "reference_frame"', "threshold = 0.27"))
     recorded = process(scene, SIZES)
-    bundle = write_library_bundle(tmp_path / "bundle", Recipe(views=ViewRecipe(height=_ROWS, width=_COLUMNS // 2)))
-    options = ["--scene", str(scene), "--output", str(tmp_path / "results"), "--page", "off", "--threads", "1"]
-    assert player.main([str(bundle), *options]) == 0
-    stream, settings = open_stream(tmp_path / "results"), load_scene(scene)
+    stream, settings = played(scene), load_scene(scene)
     for name in SIZES:
         np.testing.assert_allclose(stream[name], recorded[name], rtol=1e-6, err_msg=name)
     geometry = Geometry(settings.calibration, settings.views.contact, settings.views.topography)

@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from fingerflow import player
+from fingerflow import load_scene, player
 from fingerflow.kernels.tracking_limits import TrackStatus
-from tests.small_trials import warnings_of
+from fingerflow.results.stream_result import open_stream
+from fingerflow.schema.recipe import Recipe, ViewRecipe
+from tests.small_trials import warnings_of, write_library_bundle
 
 #: Warnings that recordings without a fault also give.
 KNOWN = (
@@ -50,3 +52,12 @@ def records_of(bundle: Path, scene: Path, *arguments: str) -> np.ndarray[Any, An
     with contextlib.redirect_stdout(io.StringIO()):
         assert player.main([str(bundle), *options, *arguments]) == 0
     return np.array(player.read_results(output).records)
+
+
+def played(scene: Path) -> xr.Dataset:
+    """Play a scene without a page by the compiled library, and return the result of the stream."""
+    view = load_scene(scene).views.topography
+    assert view is not None
+    recipe = Recipe(views=ViewRecipe(height=view.shape[0], width=view.shape[1]))
+    records_of(write_library_bundle(scene.parent / "bundle", recipe), scene)
+    return open_stream(scene.parent / "results").load()

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from bench.prints import DPI, FINGERS
 from fingerflow import process
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.library import is_present
 from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording
 from fingerflow.synthetic.scenes import SyntheticScene
-from tests.silent.case import Case, without_fault
+from tests.silent.case import Case, played, without_fault
 from tests.small_trials import scene_beside, warnings_of
 
 Pictures = NDArray[np.float64]
@@ -187,6 +188,8 @@ def cases(few: bool = False) -> Iterator[Case]:
         right = process(recording / "scene.toml", AREAS)
         for fault in FAULTS:
             yield try_fault(fault, recording, right)
+            if "rim" in fault.cause and is_present():
+                yield try_fault(fault, recording, right, live=True)
         yield without_fault("small press", right)
     yield from _small_contacts(few)
     for scene in () if few else (Press(n_frames=60, frame_rate=60.0, frames_before_trigger=3), Slide()):
@@ -217,9 +220,9 @@ def _small_contacts(few: bool) -> Iterator[Case]:
             yield Case(f"{truth.max():.2f} mm2 of {name}", largest, "0", stated, verdict)
 
 
-def try_fault(fault: Fault, recording: Path, right: xr.Dataset) -> Case:
-    """Apply a fault to a recorded press and judge the warnings and areas of its result; `right` is the result without
-    the fault.
+def try_fault(fault: Fault, recording: Path, right: xr.Dataset, live: bool = False) -> Case:
+    """Apply a fault to a recorded press and judge the warnings and areas of its result, or of a stream if `live`;
+    `right` is the result without the fault.
     """
     view = PRESS.views["contact"]
     frames, empty, dark = (
@@ -238,7 +241,7 @@ def try_fault(fault: Fault, recording: Path, right: xr.Dataset) -> Case:
         scene = scene_beside(recording, Path(folder), **arrays)
         truth = f"{PRESS.truth.gross_contact_area_mm2(39):.2f}, {PRESS.truth.real_contact_area_mm2(39):.2f}"
         try:
-            result = process(scene, AREAS)
+            result = played(Path(folder) / "scene.toml") if live else process(scene, AREAS)
         except FingerflowError as error:
             said = str(error).replace(f"{folder}/", "")
             return Case(
@@ -251,4 +254,4 @@ def try_fault(fault: Fault, recording: Path, right: xr.Dataset) -> Case:
         correct = all(error < most for error, most in zip(errors, _RIGHT, strict=True))
         verdict = "warned" if said else "right" if correct else "wrong in silence"
         found = f"{np.nanmax(result['gross_contact_area']):.2f}, {np.nanmax(result['real_contact_area']):.2f}"
-        return Case(fault.case, found, truth, (said or ["nothing"])[0], verdict)
+        return Case("live: " * live + fault.case, found, truth, (said or ["nothing"])[0], verdict)

@@ -24,14 +24,11 @@ from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_gradients
-from fingerflow.results.stream_result import open_stream
-from fingerflow.schema.recipe import Recipe, ViewRecipe
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import ChainPress, PartialSlip, Press
 from fingerflow.synthetic.scenes import SyntheticScene
-from tests.silent.case import Case, records_of
+from tests.silent.case import Case, played
 from tests.silent.deviation_scenes import scenes
-from tests.small_trials import write_library_bundle
 
 Array = NDArray[Any]
 Errors = dict[str, tuple[Array, Array]]
@@ -240,10 +237,7 @@ def medians_of(gradient: Array) -> dict[str, float]:
 
 def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
     """Return errors and stated deviations of the results of a stream, by quantity."""
-    rows, columns = scene.views["topography"].shape
-    bundle = write_library_bundle(recording / "bundle", Recipe(views=ViewRecipe(height=rows, width=columns)))
-    records_of(bundle, recording / "scene.toml")
-    result, truth, found = open_stream(recording / "results").load(), scene.truth, defaultdict(list)
+    result, truth, found = played(recording / "scene.toml"), scene.truth, defaultdict(list)
     seeded_last = np.flatnonzero(result["restart"] == result["restart"][-1])
     material = material_of(result["position_px"].values[seeded_last], scene) if seeded_last[0] == 0 else None
     for frame in np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int)).tolist():

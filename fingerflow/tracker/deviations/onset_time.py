@@ -21,15 +21,9 @@ _LONGEST = 8  # largest number of frames on either side over which the speed at 
 
 
 def onset_errors(
-    engine: Engine,
-    onset: Array,
-    reference: Array,
-    advected: Array,
-    frames: tuple[int, int],
-    positions: Callable[[Array], tuple[Array, Array]],
-    border: FrameEllipse,
-    faint_mm: float = 0.0,
-) -> tuple[Array, Array, Array]:
+    engine: Engine, onset: Array, reference: Array, advected: Array, frames: tuple[int, int],
+    positions: Callable[[Array], tuple[Array, Array]], border: FrameEllipse, faint_mm: float = 0.0,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return the variance (N,) frame^2 of the times at which points came into contact, the covariance (N, 2, 2) mm^2 of
     their positions then by this error, from the speed of each point at its onset, and the share (N,) of both that is
     known to be independent of the errors of neighbours.

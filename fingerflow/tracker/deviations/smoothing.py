@@ -11,6 +11,9 @@ from fingerflow.engines.engine import FrameFields
 
 Array = NDArray[Any]
 
+_SHARE = 0.2
+# Variances of divergence, curl, exx, eyy and exy by independent errors of the elements of a gradient.
+_ELEMENTS = np.array((2, 2, 1, 1, 1 / 2))
 _AT_BORDER = 0.15  # centroid offset, in gauge lengths, of fits on the straight border of a uniform cloud
 
 
@@ -100,25 +103,22 @@ class _Neighbours(NamedTuple):
         return np.add.reduceat(rows.take(self.number, axis=-1) * self.weight, self.start, axis=-1).astype(np.float64)
 
 
-def smoothing_variance(difference: Any, of_points: Any, single: Any, values: Array) -> Array:
-    """Return the variance (...) of medians of fields over the contact that is due to the gauge length of the fits.
+def smoothing_variance(difference: Array, of_points: Array) -> Array:
+    """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that is due to
+    the gauge length of the fits.
 
-    The error by smoothing is proportional to the square of the gauge length, and so a third of the difference D to the
-    median with twice the length. The noise s of a single fit shifts a median that lies in the flank of a distribution:
-    by s at most, and by s^2 / w where the distribution is wider, w the range between its quantiles of 40 and 60 %. With
-    twice the length little of this noise is left, so that up to this size all of D is error.
+    The four elements of a displacement gradient err alike, as fits to points that lie irregularly take the same
+    curvature of the displacement for gradients of all directions. Their mean square error is a share of the mean square
+    difference D to medians with twice the length.
+
+    In a dense cloud of points the error by smoothing is proportional to the square of the gauge length, and so a third
+    of D. Fewer points scatter the fits, which moves a median in the flank of a distribution the other way: on presses
+    of real prints, of -2.3 um/mm by smoothing +1.9 are compensated. What is left is a fifth of D, RMS over presses and
+    slides of real prints.
 
     Args:
-        difference: (...) D.
-        of_points: (...) variance of the median by the errors of points, which is subtracted from D^2.
-        single: (...) s.
-        values: (..., N) values of the fields at points, NaN where unknown; NaN is returned for no points at all.
+        difference: (n, 5) D.
+        of_points: (n, 5) variance of the medians by the errors of points, which is subtracted from D^2.
     """
-    if not values.shape[-1]:
-        return np.full(values.shape[:-1], np.nan)
-    ordered = np.sort(values, axis=-1)  # NaN last
-    last = np.maximum(np.isfinite(values).sum(-1, keepdims=True) - 1, 0)
-    low, high = (np.take_along_axis(ordered, (share * last).astype(int), -1)[..., 0] for share in (0.4, 0.6))
-    noise = single * np.minimum(1, single / np.maximum(high - low, 1e-12))
-    square = np.maximum(np.square(difference) - of_points, 0)
-    return np.fmax(square / 9, np.minimum(square, noise**2))
+    of_element = (np.square(difference) - of_points) / _ELEMENTS
+    return np.square(_SHARE) * np.maximum(of_element.mean(1, keepdims=True), 0) * _ELEMENTS

@@ -8,9 +8,9 @@ import pytest
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.report import write_report
+from fingerflow.tracker.faint_rim import check_faint_rim
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
 
@@ -44,9 +44,9 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     (gauge,) = plausibility.check_gauge(2.6, np.random.default_rng(0).uniform(0, 6, (400, 2)), 7.4)
     assert "gauge_length_mm = 2.6 is over a third of the width of the contact (7.4 mm)" in gauge
     for radius, width, narrow in ((6, 0.08, True), (7, 0.2, False)):
-        (rim,) = view_faults.check_faint_rim(width, 60.0, 0.2, radius, 13.5)
+        (rim,) = check_faint_rim(width, 60.0, 0.2, radius, 13.5)
         assert ("gross_radius_px (6) to half the ridge distance, 7," in rim) == narrow
-    assert not [*view_faults.check_faint_rim(0.08, 60.0, 0.2, 7, 13.5)]
+    assert not [*check_faint_rim(0.08, 60.0, 0.2, 7, 13.5)]
     assert "27% of the contact lies outside the region" in next(plausibility.check_seeded_region(0.27))
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more

@@ -322,6 +322,7 @@ def test_deviations_of_growth_follow_the_skin_through_the_border() -> None:
     times, area = np.arange(60) / 60, np.full(60, 25 * np.pi)
     way = 2 * times**2
     _, (std,) = growth_rates(10 * np.diff(way, prepend=0.0)[None], times, area, np.ones(60), 0.5)
+    assert np.isnan(growth_rates(np.zeros((1, 1)), times[:1], area[:1], np.ones(1), 0.5)).all()  # one frame
     covariance, slopes = np.exp(-((np.pi / 0.5 * (way - way[:, None])) ** 2)) / 2, rate(np.eye(60), times, 0.15)
     np.testing.assert_allclose(std[12:], np.sqrt(np.diag(slopes @ covariance @ slopes.T))[12:], rtol=0.05)
 

@@ -21,6 +21,7 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT, sparse_border_mm
+from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
 _LEAST_LIGHT = 0.1
@@ -234,17 +235,18 @@ class ContactStage(Stage):
 
     def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> Iterable[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
-        counts, size = self.inputs.counts(frame, self._view), self.inputs.mm_per_px
-        lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
-        gross, whole = (float(seen.gross_area_px[0]) * size**2 for seen in (contact, lower))
-        self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
+        counts = self.inputs.counts(frame, self._view)
+        lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
+        sizes = self._on_glass.sizes(contact)
+        gross, real, whole = (float(area[0]) for area in (sizes.gross, sizes.real, self._on_glass.sizes(lower).gross))
+        self._pale_rim_mm = pale_rim_mm(gross, whole)
         mask = contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px)
-        rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
+        rim = max(self._pale_rim_mm, thin)
         sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
-        faint = [*view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
+        faint = [*check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
         return faint or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(
@@ -253,7 +255,7 @@ class ContactStage(Stage):
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
         if contact.real_contact_mask is None:
             return
-        radius_px, size = self.inputs.scene.contact.gross_radius_px, self.inputs.mm_per_px
+        radius_px = self.inputs.scene.contact.gross_radius_px
         cell_px, masks, region = self.cell_px, contact.real_contact_mask[:, 0], contact.density_margin[:, 0] > 0
         # Every pixel is looked at where sampled ones show a fourth of what is warned of.
         away = view_faults.outside_region(region.any(0), cell_px, radius_px)
@@ -266,7 +268,7 @@ class ContactStage(Stage):
             self._outside[index] = count * pixel_mm2[k]
             if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.first_frame
-                several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)]
+                several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, pixel_mm2[k], frame)]
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
 

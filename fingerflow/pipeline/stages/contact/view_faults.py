@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.tracker.faint_rim import RIM_MM
+
 Picture = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
@@ -21,14 +23,9 @@ _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, a
 # Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
 SECOND_CONTACT, DENSITY = 0.015, 0.2
 _SHADOW = 0.04  # least share of its light that the glass around the contact loses to a shadow
-# Share of the contact threshold at which a pale rim shows. The border then lies further out, by 0.024 +- 0.009 mm on
-# clean prints; light that varies over the view moves it further than the largest distance. Of a pale rim, `_UNSEEN`
-# times what exceeds the usual distance was missing on prints.
-FAINT, _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.4, 0.028, 0.5, 1.6
 # Ridges cover 0.78 +- 0.05 of what they cover further inside within one period of the border of clean prints, with a
 # larger scatter on small contacts, and less where they are thin there: the border then lay 0.1 to 0.4 mm further out.
 _THIN, _SCATTER, _RAMP, _THIN_MM = 0.69, 0.3, 0.06, 0.27
-_RIM_MM = 0.1  # least width of a faint rim that is reported; of clean prints up to 0.07
 _STEP = 1.35  # least ratio of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
 # Least relative slope of the light at edges of the glass, 1/px, and least number of compared pixels for a shift.
@@ -80,7 +77,7 @@ def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
     return np.asarray(touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
 
 
-def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_px: float, frame: int) -> Iterator[str]:
+def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_mm2: float, frame: int) -> Iterator[str]:
     """Return a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
     knuckle.
 
@@ -97,8 +94,8 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
     area, real = float(areas.max()), float(touching[labels == 1 + areas.argmax()].sum())
     if real >= DENSITY * area:
         yield (
-            f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of "
-            f"real contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain "
+            f"a second contact lies in the view, as of another finger or a knuckle: {real * pixel_mm2:.2g} mm² of "
+            f"real contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain "
             f"energy are of the densest part alone (at ellipse_center) where the two are apart, of both where they "
             f"merge. Leave the other out by views.contact.region, or press with one finger"
         )
@@ -136,15 +133,6 @@ def check_shadow(share: Picture, away: Picture, period_px: float) -> Iterator[st
         )
 
 
-def pale_rim_mm(gross: float, lower: float) -> float:
-    """Return by how much, mm, the border may lie further out as ridges are pale at the rim of the contact.
-
-    `gross` and `lower` are the gross areas, mm^2, of the frame with most contact at the threshold and at `FAINT` of it.
-    """
-    width = float(np.sqrt(lower / np.pi) - np.sqrt(gross / np.pi))
-    return _UNSEEN * max(width - _USUAL_MM, 0.0) if width < _FURTHEST_MM else 0.0
-
-
 def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     """Return by how much, mm, the border may lie further out as ridges are thin at the rim of the contact: nothing
     shows the skin beyond the last of them. `touching` is the real contact mask, `region` that of the gross contact.
@@ -157,28 +145,11 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
 
 def check_sparse_ridges(border_mm: float, real: float, gross: float) -> Iterator[str]:
     """Return a warning if ridges cover so little of the contact that its border is uncertain by `border_mm`."""
-    if border_mm >= _RIM_MM:
+    if border_mm >= RIM_MM:
         yield (
             f"ridges cover {real / gross:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, "
             f"and areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
         )
-
-
-def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> Iterator[str]:
-    """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
-    mm^2 is its area without that rim, which has gaps where `radius_px` is below half the distance between ridges.
-    """
-    narrow = radius_px < period_px / 2
-    if width_mm < (0.75 if narrow else 1) * _RIM_MM:  # a small radius hides half of such a rim: 0.2 mm were 0.09
-        return
-    more = (1 + width_mm / np.sqrt(gross / np.pi)) ** 2 - 1
-    half = f" set [contact] gross_radius_px ({radius_px}) to half the ridge distance, {np.ceil(period_px / 2):g},"
-    yield (
-        f"the contact is faint at its rim: its border may lie {width_mm:.2f} mm further out. Areas, ellipse, onsets "
-        f"and what counts from them are those of the part inside; the gross area may be {more:.0%} larger. Set "
-        f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there,{half if narrow else ''} clean the "
-        f"glass, or press harder"
-    )
 
 
 def check_background_lines(light: Picture) -> Iterator[str]:

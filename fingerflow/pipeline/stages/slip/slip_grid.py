@@ -136,6 +136,8 @@ def growth_rates(growth: Array, times: Array, area: Array, area_std: Array, ridg
         area, area_std: (F,) mm², of the contact, whose halves err independently.
         ridge_mm: distance between ridges.
     """
+    if len(times) < 2:
+        return np.full(growth.shape, np.nan), np.full(growth.shape, np.nan)
     known, gained = np.isfinite(growth), np.nan_to_num(growth)
     rates = rate(np.where(known, gained.cumsum(1), np.nan).T, times, _GROWTH_S).T
     misfit = np.nan_to_num(gained - rates * np.gradient(times)) ** 2 / 2
