@@ -84,12 +84,14 @@ class Engine(Protocol):
         described: name with its device or provider, as in "onnx (CPUExecutionProvider)".
         settings: with which it was created.
         cell_px: side of the cells of the apparent contact.
+        fixed: True if it computes by graphs of fixed shapes, of which `fit` and `fields` take one frame.
     """
 
     name: str
     described: str
     settings: EngineSettings
     cell_px: int
+    fixed: bool
 
     def images(self, frames: Array) -> Images:
         """Convert frames (K, H, W) of 8 to 16 bit or floating point to the internal format of the engine.

@@ -56,6 +56,7 @@ class NativeEngine:
     """
 
     name = described = "native"
+    fixed = False
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings

@@ -133,9 +133,9 @@ class FrameResults:
     def _batch(self, covered: Array) -> int:
         """Return how many of the next frames can be computed at once, given which points the contact covers in each,
         `covered` (n, N): those before a point touches again elsewhere, and one while it is unknown from where points
-        count, or how medians err by the gauge length.
+        count, or how medians err by the gauge length; and one for graphs of fixed shapes.
         """
-        if np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
+        if self._engine.fixed or np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
             return 1
         before = np.logical_or.accumulate(covered[:-2])
         again = before & (covered[1:-1] < covered[2:]) & (self._touches.length < LASTING)

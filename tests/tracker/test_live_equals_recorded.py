@@ -10,8 +10,9 @@ import xarray as xr
 
 import fingerflow
 from fingerflow import player
+from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.library import is_present
-from fingerflow.kernels.result_records import FrameContact, FrameEllipse, TrackedPoints
+from fingerflow.kernels.result_records import FrameContact, FrameEllipse, FrameFields, TrackedPoints
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.tracker.frame_results import RESULTS, FrameResults, Seeding
 from fingerflow.tracker.frame_tracker import PAGE, joined
@@ -157,6 +158,20 @@ def test_results_do_not_depend_on_the_number_of_frames_at_once(
         several = computed(at_once)
         for name in RESULTS:
             np.testing.assert_allclose(several[name], single[name], rtol=2e-5, atol=1e-6, err_msg=f"{name} {at_once}")
+    # Exported graphs take one frame.
+    sizes: list[int] = []
+    fields = NativeEngine.fields
+
+    def count(engine: NativeEngine, reference: Array, displacement: Array, *more: Any) -> FrameFields:
+        sizes.append(len(displacement))
+        return fields(engine, reference, displacement, *more)
+
+    monkeypatch.setattr(NativeEngine, "fixed", True)
+    monkeypatch.setattr(NativeEngine, "fields", count)
+    graphs = computed(4)
+    assert set(sizes) == {1}
+    for name in RESULTS:
+        np.testing.assert_array_equal(graphs[name], single[name], err_msg=name)
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:

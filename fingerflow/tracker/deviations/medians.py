@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM
 from fingerflow.tracker.deviations.smoothing import smoothing_variance
 
@@ -39,13 +40,13 @@ def bias_variance(
         entered: points that were advected into the contact.
     """
     assert fields.median_std is not None
-    of_points = np.square(fields.median_std)
+    of_points, components = np.square(fields.median_std), _stack_components(fields)
     # In a space of half the size the gauge length counts twice.
     half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
     smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(ELLIPSE_MM))
     wide = engine.fields(reference / 2, displacement / 2, half, None, entered)
     inner = engine.fields(reference, displacement, smaller, None, entered).median - fields.median
-    by_gauge = smoothing_variance(wide.median - fields.median, of_points)
+    by_gauge = smoothing_variance(wide.median - fields.median, of_points, _fit_deviations(fields), components)
     return by_gauge + np.maximum(np.square(inner) - of_points, 0), wide
 
 
@@ -95,6 +96,14 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
     result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
     result[rows] += squared_half_range(np.sqrt(came[rows, None]))
     return result
+
+
+def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
+    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points."""
+    assert fields.divergence_std is not None
+    assert fields.curl_std is not None
+    divergence, curl = (nanmedian(values)[:, None] for values in (fields.divergence_std, fields.curl_std))
+    return np.concatenate((divergence, curl, strain_deviations(divergence, curl)[:, 0]), axis=1)
 
 
 def strain_deviations(divergence_std: Array, curl_std: Array) -> Array:
