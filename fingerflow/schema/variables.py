@@ -34,7 +34,7 @@ CELLS = ("frame", "cell_row", "cell_column")
 _STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
 _FIELD_STD_EQUATION = (
     "σ² = g Σ gᵀ + ⟨k² Δ_gauge²⟩ + late², Σ with the errors that points share as their windows overlap, Δ the change "
-    "by twice the gauge length, less its noise, k from 1/2 inside to 1 at the border of the points, ⟨⟩ the mean over "
+    "by twice the gauge length, less its noise, k from 0.6 inside to 1.2 at the border of the points, ⟨⟩ the mean over "
     "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
 )
 _MEDIAN_STD_EQUATION = (

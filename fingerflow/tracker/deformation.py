@@ -159,7 +159,7 @@ class Deformation:
         covariance = displacement_covariance(noise, since.onset) * since.gain[:, None, None]
         entered = since.entered
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
-        ranks = rank_variance(fields, None if entered is None else entered.among)
+        ranks = rank_variance(fields, entered is not None and entered.among)
         known = np.isfinite(fields.median[:, 0])
         evaluated = known & ((frames % EVERY == 0) | ((known.cumsum() <= EVERY) & np.isnan(self.latest[0])))
         rows = evaluated.nonzero()[0]

@@ -337,7 +337,7 @@ class StreamTracker:
         whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
         gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
         radius = self._engine.settings.gross_radius_px
-        return check_faint_rim(pale_rim_mm(gross, lower), gross, float(contact.threshold[0]), radius, 0.0)
+        return check_faint_rim(pale_rim_mm(gross, lower), gross, contact.threshold[0], radius, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""

@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 def bias_variance(
     engine: Engine, reference: Array, displacement: Array, ellipse: FrameEllipse, fields: FrameFields,
-    entered: EnteredPoints | None = None,
+    entered: EnteredPoints | None,
 ) -> tuple[NDArray[np.float64], FrameFields]:  # fmt: skip
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy in n frames by the gauge length
     and by the border, NaN where a contact is too small for twice the gauge length; and the fields with that length.
@@ -50,7 +50,7 @@ def bias_variance(
     return by_gauge + np.maximum(np.square(inner) - of_points, 0), wide
 
 
-def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[np.float64]:
+def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.float64]:
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that results
     from parts of the skin in contact whose values are unknown.
 
@@ -65,11 +65,7 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
     It is 0 in frames where nothing is known and there are no medians. `entered` (n, N) marks the advected points.
     """
     share, result = fields.known_share.astype(np.float64), np.zeros((len(fields.known_share), 5))
-    came = (
-        np.zeros(len(share))
-        if entered is None
-        else np.add.reduce(entered & np.isfinite(fields.divergence), 1).astype(float)
-    )
+    came = np.add.reduce(entered & np.isfinite(fields.divergence), 1)
     # In the other frames both ranks are the same.
     rows = ((share > 0) & ((share < 1) | (came > 0))).nonzero()[0]
     if not len(rows):

@@ -11,7 +11,7 @@ from fingerflow.engines.engine import FrameFields
 
 Array = NDArray[Any]
 
-_SHARE = 0.2
+_INSIDE, _SHARE = 0.6, 0.2
 # Variances of divergence, curl, exx, eyy and exy by independent errors of the elements of a gradient.
 _ELEMENTS = np.array((2, 2, 1, 1, 1 / 2))
 _AT_BORDER = 0.15  # centroid offset, in gauge lengths, of fits on the straight border of a uniform cloud
@@ -22,10 +22,10 @@ class SmoothingErrors:
 
     The error is a share k of the difference D to a fit over twice the gauge length:
 
-    - inside a cloud of points k is 1/2. A fit keeps 384 J4(k)/k^4 of a wave's slope, k = pi gauge / wavelength, so that
+    - inside a cloud of points k is 0.6. A fit keeps 384 J4(k)/k^4 of a wave's slope, k = pi gauge / wavelength, so that
       the share is 1/3 for long waves, 0.42 for waves of two gauge lengths, 0.78 for waves of one;
-    - at the border of the cloud k is 1. A fit has the gradient at the centroid of its points, which there lies beside
-      the place by a length that grows with the gauge length: the error is proportional to it.
+    - at the border of the cloud k is 1.2. A fit has the gradient at the centroid of its points, which there lies beside
+      the place by a length that grows with the gauge length: the error is proportional to it, or grows faster.
 
     Between both, k grows with the offset of the centroid. D is noisy, and smoothing may happen to vanish where it
     changes its sign: the variance is the mean of k^2 (D^2 - s^2) over the points within half a gauge length, s^2 the
@@ -63,7 +63,7 @@ class SmoothingErrors:
             ],
             axis=1,
         )
-        share = (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1)) / 2
+        share = _INSIDE * (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1))
         square *= share**2
         square[..., ~fitted] = np.nan
         known = np.isfinite(square[:, 0])  # curl is known of the same points

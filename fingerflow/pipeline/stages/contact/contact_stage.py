@@ -237,8 +237,7 @@ class ContactStage(Stage):
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
         counts = self.inputs.counts(frame, self._view)
         lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
-        sizes = self._on_glass.sizes(contact)
-        gross, real, whole = (float(area[0]) for area in (sizes.gross, sizes.real, self._on_glass.sizes(lower).gross))
+        gross, whole = (float(self._on_glass.sizes(seen).gross[0]) for seen in (contact, lower))
         self._pale_rim_mm = pale_rim_mm(gross, whole)
         mask = contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px)
@@ -247,7 +246,7 @@ class ContactStage(Stage):
         self.faint_rim_mm = max(rim, sparse)
         radius = self.inputs.scene.contact.gross_radius_px
         faint = [*check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
-        return faint or view_faults.check_sparse_ridges(sparse, real, gross)
+        return faint or view_faults.check_sparse_ridges(sparse, contact.real_area_px[0] / contact.gross_area_px[0])
 
     def _leave_out_parts(
         self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]

@@ -143,12 +143,14 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
 
 
-def check_sparse_ridges(border_mm: float, real: float, gross: float) -> Iterator[str]:
-    """Return a warning if ridges cover so little of the contact that its border is uncertain by `border_mm`."""
+def check_sparse_ridges(border_mm: float, share: float) -> Iterator[str]:
+    """Return a warning if ridges cover so small a `share` of the contact that its border is uncertain by
+    `border_mm`.
+    """
     if border_mm >= RIM_MM:
         yield (
-            f"ridges cover {real / gross:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, "
-            f"and areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
+            f"ridges cover {share:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, and "
+            f"areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
         )
 
 

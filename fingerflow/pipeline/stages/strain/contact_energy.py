@@ -23,7 +23,9 @@ from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderF
 
 Array = NDArray[np.float64]
 
-_RADIUS_MM = 0.012  # standard deviation of the mean radius of a border from `steady_border`, measured on presses
+# Half of the standard deviation of the mean radius of a border from `steady_border`, measured on presses: where a
+# border is too far out, onsets are as early, so that displacements vanish there, too.
+_RADIUS_MM = 0.006
 # Displacement, mm, by which tracking errs over the whole contact alike: skin looks different once it touches.
 _COMMON_MM = 4e-4
 # Smallest standard deviation, mm, of the displacement of a point in the fit. In the frame of its onset a point has by

@@ -113,8 +113,7 @@ class StrainStage(Stage):
         begins = skin.since[: len(moved.onset)]
         here = np.pad(begins == begins[begins >= 0].min(initial=len(self.trial)), (0, len(skin.since) - len(begins)))
         self._from_start = self.inputs.tensor(np.where(here[:, None], skin.reference, np.nan))[None]
-        scale = self.inputs.geometry.topography_mm_per_px
-        self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
+        self._window_mm = self.inputs.scene.tracking.window_px * self.inputs.geometry.topography_mm_per_px
 
     def step(self, batch: Batch) -> None:
         moved, noise, curvature = self._skin.moved(batch.steps[DeformationStage], batch.indices)
@@ -165,7 +164,7 @@ class StrainStage(Stage):
         energy of a growing contact is that of a field which is not averaged (`contact_energy`).
         """
         displacement = self.inputs.tensor(moved)
-        smooth = local_gradients(self._from_start, displacement, gauge_length=self._smoothed_mm).value
+        smooth = local_gradients(self._from_start, displacement, gauge_length=_SMOOTHED * self._window_mm).value
         again = torch.where(smooth.isfinite(), smooth, displacement)
         exact = np.zeros((*moved.shape, 2), np.float32)
         first, second = (self._triangle_strain(field, exact, touching).energy for field in (displacement, again))
@@ -192,7 +191,9 @@ class StrainStage(Stage):
         )
         # Where no triangle lies near the border, an error of the border changes no triangle that counts.
         strip = np.nan_to_num(self._border_mm * perimeter(border.semi_axes) * border_energy)
-        errors = (between_std, self._missing.add_frames(density, touching), strip)
+        # Tracking corrects for the second derivatives of the displacement within a window. The fourth ones are left.
+        blur = np.nan_to_num(self._window_mm / (2 * border.semi_axes.min(1))) ** 4
+        errors = (between_std, self._missing.add_frames(density, touching), strip, blur * between)
         deviation = np.sqrt(sum(np.square(error) for error in errors))
         self._between[frames], self._between_std[frames] = between, deviation
         rim = border_energy * self._rim_area(position, touching, border)
@@ -215,7 +216,7 @@ class StrainStage(Stage):
         self._energy[frames[fitted]] = whole.energy[fitted] - doubt * lacking
         self._misfit[frames] = whole.trust < 1
         # Skin that has moved at the border leaves its displacement there to be extrapolated: both energies then err.
-        by_border = np.maximum(whole.moves[fitted], doubt) * lacking
+        by_border = np.hypot(np.maximum(whole.moves[fitted], doubt) * lacking, (blur * whole.energy)[fitted])
         self._energy_std[frames[fitted]] = np.hypot(whole.deviation[fitted], by_border)
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
         share = np.where(lacking < 0, 1.0, _INSIDE)
