@@ -46,7 +46,7 @@ class Design:
         softness: levels of the divisor of the stiffnesses of the fitted tissue; the membrane is that of literature. A
             person has the level next to the mean force of all over their own: all compress their tissue about alike.
             Their apparent areas then spread by 6 mm², 4.5 printed (B5), while their forces spread by 45 %. Drawn apart
-            from the force, softness of 0.7 and 1.4 spreads them by 11 mm², with presses that store 10 to 25 mJ.
+            from the force, softness of 0.7 and 1.4 spreads them by 10 mm², with presses that store twice as much.
         force: mean of the peak force, N (B34), and standard deviations of its logarithm over participants, over the
             pairs of one, and between the presses of a pair, in force and in time (not printed: force does not predict
             answers, B37, so pairs are alike).
