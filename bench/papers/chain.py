@@ -21,7 +21,7 @@ from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.plot.axes_style import finished, line_styles
 
 Values = NDArray[np.float64]
-FRICTIONS = (0.02, 0.05, 0.2, 1.0)
+FRICTIONS = (0.0, 0.05, 0.2, 1.0)
 LOW, HIGH = 0.2, 1.0  # friction coefficients that the paper calls low and high
 DEPTH_MM = 2.0  # mm, depth over which the paper assumes uniform strain (equation 3)
 _ELEMENTS = 1001  # twice the paper's number: contact grows by whole elements, which is visible in rates

@@ -251,15 +251,13 @@ def _gains(quantity: str, values_of: Callable[[Depth], Values]) -> Callable[[Pre
     def obtain(study: PressStudy) -> Obtained:
         ratios = study.chain.gains(values_of(study.depth))
         text = "; ".join(f"{ratio:.3f} over {one:g}" for one, ratio in ratios.items())
-        return Obtained(f"{quantity}, friction {HIGH:g}: {text}", exactly(100 * (ratios[LOW] - 1)), because=_STUCK)
+        return Obtained(
+            f"{quantity}, friction {HIGH:g}: {text}", exactly(100 * (ratios[LOW] - 1)),
+            because="only skin that slips mobilises traction, and all sticks above a friction of 0.2: friction times "
+            "pressure everywhere, of half-width 4.2 mm, gives 20 % at 0.41",
+        )  # fmt: skip
 
     return obtain
-
-
-_STUCK = (
-    "only skin that slips mobilises traction, and all sticks above a friction of 0.2: friction times pressure "
-    "everywhere, of half-width 4.2 mm, gives 20 % at 0.41"
-)
 
 
 def _exclusion(study: PressStudy) -> Obtained:
@@ -267,20 +265,19 @@ def _exclusion(study: PressStudy) -> Obtained:
     return Obtained(f"{MOVED_MM:g} mm; {left_out} of {study.sample.used} trials left out", exactly(MOVED_MM))
 
 
-_INSTRUMENT = "a property of the instrument, a Fabry-Perot tribometer; nothing of the simulation depends on it"
-_COLOURS = "cameras are simulated in grey levels; wavelengths and angles of the lamps are no settings"
-_ANGLE = "the simulated finger is axisymmetric about the normal: it has no inclination"
-
 ROWS: tuple[Row[PressStudy], ...] = (
     Row("B1", "friction test modulation", "4 Hz", "Friction modulation", rounded(4, digit=1), _modulation),
-    Row("B2", "force resolution", "< 1 mN", "Friction modulation", (), unobtainable(_INSTRUMENT)),
+    Row("B2", "force resolution", "< 1 mN", "Friction modulation", (), unobtainable(
+        "a property of the instrument, a Fabry-Perot tribometer; nothing of the simulation depends on it")),
     Row("B3", "sliding normal force", "about 0.5 N", "Friction modulation", rounded(0.5, digit=0.1), _sliding_force),
     Row("B4", "friction coefficient", "", "S1A, S1B", (), _friction),
-    Row("B10", "lights", "450 nm at 20°; 660 nm coaxial; dichroic 550", "Images", (), unobtainable(_COLOURS)),
+    Row("B10", "lights", "450 nm at 20°; 660 nm coaxial; dichroic 550", "Images", (), unobtainable(
+        "cameras are simulated in grey levels; wavelengths and angles of the lamps are no settings")),
     Row("B11", "glass reflection", "4 %", "Images", rounded(4, digit=1), _reflection),
     Row("B12", "camera", "300 fps, 512 x 640 px, 16 x 21 mm", "Images", (
         *exactly(300, 512, 640), *rounded(16, 21, digit=1)), _camera),
-    Row("B13", "finger angle", "30°", "S2A", (), unobtainable(_ANGLE)),
+    Row("B13", "finger angle", "30°", "S2A", (), unobtainable(
+        "the simulated finger is axisymmetric about the normal: it has no inclination")),
     Row("B14", "median filter", "9 x 9 (text); radius 5 (S3A)", "Images, S3A", exactly(9), _median_filter),
     Row("B15", "apparent area", "radius 8 px, then ellipse", "Images, S3A", exactly(8), _setting(
         "{} px, closed, filled, ellipse of its moments", lambda study: (study.scene.contact.gross_radius_px,))),

@@ -18,7 +18,7 @@ from bench.papers.press_stages import contact_mask, contact_stages, difference_p
 from bench.papers.presses import PressStudy, TypicalPress
 from bench.papers.tribometer import draw_friction, draw_trace
 from fingerflow import plot
-from fingerflow.plot.axes_style import INK
+from fingerflow.plot.axes_style import INK, ONE_COLUMN_MM, TWO_COLUMNS_MM
 from fingerflow.plot.captions import caption_of, describe
 from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
@@ -41,7 +41,8 @@ _MAPS = "maps since each point's own onset; the rest, by the printed analysis, i
 
 
 def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
-    figure = Sheet(name, tuple(panels)).figure()
+    width = ONE_COLUMN_MM if [one.columns for one in panels] == [1] else TWO_COLUMNS_MM
+    figure = Sheet(name, tuple(panels)).figure(width)
     _, *captions = caption_of(figure).splitlines()  # omits the heading
     return figure, "\n".join((shown, *captions))
 
@@ -66,9 +67,8 @@ def _curve(study: PressStudy, letter: str, metric: str) -> SheetPanel:
 
 
 def _count(study: PressStudy) -> str:
-    used = study.sample.used
     people = study.frame["participant"].nunique()
-    return f"{used} answered trials, {len(study.measured)} presses of {people} participants"
+    return f"{study.sample.used} answered trials, {len(study.measured)} presses of {people} participants"
 
 
 def _friction_and_area(study: PressStudy) -> Drawn:
@@ -282,9 +282,8 @@ def _movie_contact(study: PressStudy) -> Drawn:
 
 def _movie_chain(study: PressStudy) -> Drawn:
     presses = study.chain
-    frictions = f"{min(presses.friction):g} and {max(presses.friction):g}"
-    shown = f"The skin chain at friction {frictions}, up to {presses.force[-1]:g} N."
-    return movie_pictures(presses, _CHAIN_STEP), shown
+    friction = f"{min(presses.friction):g} and {max(presses.friction):g}"
+    return movie_pictures(presses, _CHAIN_STEP), f"The chain at friction {friction}, up to {presses.force[-1]:g} N."
 
 
 FIGURES: tuple[PrintedFigure[PressStudy], ...] = (

@@ -169,7 +169,7 @@ def reproduction_page() -> str:
         "Only predictions are evidence: right where the 95 % interval of each number lies within a factor of 2 of "
         "print, wrong where one lies outside, otherwise undecided; a missing effect needs a bound. Numbers put into "
         "the simulation are read back where their intervals meet; settings and equations hold or differ. Truth is "
-        "that of the simulation. With `--quick` 8 presses of the experiment are rendered as pictures, else 180. The "
+        "that of the simulation. With `--quick` 24 presses of the experiment are rendered as pictures, else 180. The "
         "command also writes the movies.",
         "",
     ]

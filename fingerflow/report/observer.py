@@ -51,12 +51,11 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
         label = f"{name} ({observers[name].auc:.2f})" if k < _NAMED else "the others" if k == _NAMED else None
         axes.plot(observers[name].false_alarms, observers[name].hits, label=label, **style)
     axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1))
-    counts = [sum(observer.trials) for observer in observers.values()]
     finished(
         axes,
         "Hits (correct trials above a criterion) against false alarms (incorrect trials above it) as the criterion "
         f"sweeps the metric; named: the {_NAMED} curves furthest from chance. In brackets: area under the curve, 0.5 "
-        f"by chance. n = {min(counts)} to {max(counts)} trials.",
+        f"by chance. n = {max(sum(one.trials) for one in observers.values())} trials.",
     )
     # Beside the axes, where the legend does not cover curves.
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))

@@ -53,11 +53,11 @@ def test_forces_times_and_rates_are_those_printed(presses: Presses) -> None:
 
 
 def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
-    """Angles and displacements have the distributions of B40, B43 and B44. Angles are limited by friction; at the
-    lowest friction this costs 0.2 degrees.
+    """Angles and displacements have the distributions of B40, B43 and B44. Angles are limited by friction; without
+    vibration this costs 0.3 degrees of the mean and 0.8 of the spread.
     """
     angle = np.degrees(presses.angle)
-    for amplitude, mean, deviation in ((0.0, 9.9, 4.9), (3.0, 4.2, 2.1)):
+    for amplitude, mean, deviation in ((0.0, 9.6, 4.1), (3.0, 4.2, 2.1)):
         own = angle[presses.amplitude == amplitude]
         assert own.mean() == pytest.approx(mean, abs=0.2)
         assert own.std() == pytest.approx(deviation, abs=0.3)
@@ -92,8 +92,8 @@ def test_large_vibrations_and_fast_presses_are_answered_better(presses: Presses)
     answers = answer_table(DESIGN, reference, comparison)
     shares = [answers[comparison.amplitude == one].mean() for one in DESIGN.amplitudes]
     assert (np.diff(shares) > -0.02).all()
-    assert shares[0] < 0.65 < 0.8 < shares[-1]
-    even = np.full(answers.size, 1e-2)
+    assert shares[0] < 0.7 < 0.8 < shares[-1]
+    even = np.full(answers.size, 5e-3)
     fast, slow = (
         answer_table(DESIGN, replace(reference, divergence=0 * even), replace(
             comparison, divergence=even, force=rate * comparison.time_to_peak))
@@ -115,7 +115,7 @@ def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
         assert presses.real_contact_area[number] == pytest.approx(truth.real_contact_area_mm2(-1), rel=0.04)
         if press.progress(press.times[peak]) >= 1:
             divergence = truth.medians(peak).divergence
-            assert 1e3 * presses.divergence[number] == pytest.approx(1e3 * divergence, abs=2.0)
+            assert presses.divergence[number] == pytest.approx(divergence, abs=2e-3)
         assert truth.medians(press.n_frames - 1).displacement_x == pytest.approx(presses.shift[number, 0], abs=1e-9)
 
 
