@@ -47,12 +47,7 @@ StudyFigure = tuple[str, str, str, list[str]]
 
 
 def write_figures(
-    frame: Any,
-    sample: Sample,
-    curves: Any,
-    folder: Path,
-    design: str = FORCED_CHOICE,
-    files: FigureFiles = PNG,
+    frame: Any, sample: Sample, curves: Any, folder: Path, design: str = FORCED_CHOICE, files: FigureFiles = PNG
 ) -> list[StudyFigure]:
     """Draw and write the figures of a study with captions, and return the outcome for each figure.
 
