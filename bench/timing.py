@@ -24,10 +24,7 @@ class Timing(NamedTuple):
 
 
 def time_in_turns(
-    candidates: Mapping[str, Callable[[], object]],
-    peer: str,
-    rounds: int,
-    clock: Callable[[], float] | None = None,
+    candidates: Mapping[str, Callable[[], object]], peer: str, rounds: int, clock: Callable[[], float] | None = None
 ) -> dict[str, Timing]:
     """Time candidates in turns: ``rounds`` rounds of all of them, after two rounds of warm-up.
 

@@ -14,18 +14,7 @@ import torch
 from torch import Tensor, nn
 
 import fingerflow.graphs
-from fingerflow import ops
-from fingerflow.graphs import (
-    ContactGraph,
-    DetectGraph,
-    EnteredPoints,
-    FieldsGraph,
-    FrameEllipse,
-    KeyGraph,
-    MedianFilter,
-    NormalizeIllumination,
-    TrackGraph,
-)
+from fingerflow import graphs, ops
 
 HEIGHT, WIDTH, POINTS = 64, 80, 24
 
@@ -68,16 +57,16 @@ def cases(batch: int = 2) -> dict[str, Case]:
     gradient = ops.local_gradients(points, moved, gauge_length=60.0).gradient
     covariance = torch.eye(2, dtype=torch.float32).expand(len(first), POINTS, 2, 2).contiguous() / 100
     axis_x, axis_y = (torch.arange(16, end, 8, dtype=torch.float32) for end in (WIDTH - 16, HEIGHT - 16))
-    key = KeyGraph(11)
+    key = graphs.KeyGraph(11)
     templates = key(first, points)
-    track = TrackGraph()
-    ellipse = FrameEllipse(
+    track = graphs.TrackGraph()
+    ellipse = graphs.FrameEllipse(
         torch.tensor([[40.0, 32.0]], dtype=torch.float32).repeat(len(first), 1),
         torch.tensor([[20.0, 16.0]], dtype=torch.float32).repeat(len(first), 1),
         torch.zeros(len(first), dtype=torch.float32),
     )
     straight = torch.eye(2, dtype=torch.float32).expand_as(covariance)
-    entered = EnteredPoints(points[..., 0] > 40, gradient / 10, None)
+    entered = graphs.EnteredPoints(points[..., 0] > 40, gradient / 10, None)
     return {
         "curl": Case(ops.curl, (gradient,)),
         "dense_flow": Case(ops.dense_flow, (first, second)),
@@ -110,16 +99,18 @@ def cases(batch: int = 2) -> dict[str, Case]:
             lambda *images: ops.track_points(*images, window=11, search=12), (first, second.roll(6, 3), points)
         ),
         "triangle_gradients": Case(ops.triangle_gradients, (points, triangles, moved)),
-        "MedianFilter": Case(MedianFilter(5), (first,)),
-        "NormalizeIllumination": Case(NormalizeIllumination(glass[:1]), (first,)),
-        "ContactGraph": Case(ContactGraph(), (first, glass, black, one * 0.55)),
+        "MedianFilter": Case(graphs.MedianFilter(5), (first,)),
+        "NormalizeIllumination": Case(graphs.NormalizeIllumination(glass[:1]), (first,)),
+        "ContactGraph": Case(graphs.ContactGraph(), (first, glass, black, one * 0.55)),
         "KeyGraph": Case(key, (first, points)),
-        "KeyGraph - warp": Case(KeyGraph(11, gain_offset=False), (first, points, one, straight)),
+        "KeyGraph - warp": Case(graphs.KeyGraph(11, gain_offset=False), (first, points, one, straight)),
         "TrackGraph": Case(track, (templates, second, points)),
-        "FieldsGraph": Case(FieldsGraph(60.0), (points, moved, covariance)),
-        "FieldsGraph - medians": Case(FieldsGraph(60.0), (points, moved, covariance, ellipse)),
-        "FieldsGraph - entered": Case(FieldsGraph(60.0), (points, moved, None, ellipse, entered)),
-        "DetectGraph": Case(DetectGraph(POINTS, window_px=11), (first, torch.ones_like(first, dtype=torch.bool))),
+        "FieldsGraph": Case(graphs.FieldsGraph(60.0), (points, moved, covariance)),
+        "FieldsGraph - medians": Case(graphs.FieldsGraph(60.0), (points, moved, covariance, ellipse)),
+        "FieldsGraph - entered": Case(graphs.FieldsGraph(60.0), (points, moved, None, ellipse, entered)),
+        "DetectGraph": Case(
+            graphs.DetectGraph(POINTS, window_px=11), (first, torch.ones_like(first, dtype=torch.bool))
+        ),
     }
 
 

@@ -15,10 +15,7 @@ from fingerflow.engines.torch import TorchEngine
 from tests.small_trials import write_trial
 from tests.without_kernels import without_kernels
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here"),
-]
+pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here")]
 
 
 @pytest.fixture

@@ -149,10 +149,7 @@ def _strain(study: PressStudy) -> Drawn:
 
 def _strain_energy(study: PressStudy) -> Drawn:
     high, low = study.typical
-    panels = [
-        SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
-        *_of_trials(study, "S9"),
-    ]
+    panels = [SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2), *_of_trials(study, "S9")]
     return _sheet("S9", panels, f"Two presses of one participant, {_MAPS}: {_count(study)}.")
 
 

@@ -209,11 +209,7 @@ def result_of(manifest: Manifest, entry: TrialEntry) -> xr.Dataset | None:
 
 
 def study_of(
-    experiment: Experiment,
-    parts: tuple[Manifest, Any, Design],
-    errors: Any,
-    trace: TribometerTrace,
-    resamples: int,
+    experiment: Experiment, parts: tuple[Manifest, Any, Design], errors: Any, trace: TribometerTrace, resamples: int
 ) -> PressStudy:
     """Return an experiment with its statistics; `parts` are manifest and table of the rendered presses, and design, and
     `errors` those of `measured_errors`.

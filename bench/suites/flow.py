@@ -198,11 +198,7 @@ def _z(flow: Flow, truth: Tensor) -> float:
     return float(_inner((flow.displacement - truth).square() / variance).nanmean().sqrt())
 
 
-_MARKS = {
-    "fingerflow": Mark(RED),
-    "opencv": Mark(BLUE, "s"),
-    "scikit-image": Mark(VIOLET, "^"),
-}
+_MARKS = {"fingerflow": Mark(RED), "opencv": Mark(BLUE, "s"), "scikit-image": Mark(VIOLET, "^")}
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:

@@ -10,9 +10,7 @@ from fingerflow.errors import FingerflowError
 
 
 @app.command()
-def init(
-    path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml"),
-) -> None:
+def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml")) -> None:
     """Write a commented scene file: a template to fill in."""
     from fingerflow.results.atomic_write import write_atomically
     from fingerflow.schema.scene_template import scene_text

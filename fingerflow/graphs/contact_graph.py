@@ -56,11 +56,5 @@ class ContactGraph(nn.Module):
         """
         gain = illumination_gain(frames, light, black, self.gross_radius_px)
         return contact_threshold(
-            frames,
-            light,
-            black,
-            gain,
-            median_px=self.median_px,
-            radius=self.gross_radius_px,
-            stride_px=self.stride_px,
+            frames, light, black, gain, median_px=self.median_px, radius=self.gross_radius_px, stride_px=self.stride_px
         )

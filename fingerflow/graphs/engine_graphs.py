@@ -143,10 +143,7 @@ def _point_graphs(settings: EngineSettings) -> _Described:
         ),
         "outliers": (
             outliers,
-            (
-                *("neighbour_number", "neighbour_offset", "neighbour_within"),
-                *("start", "found", "position_std"),
-            ),
+            (*("neighbour_number", "neighbour_offset", "neighbour_within"), *("start", "found", "position_std")),
             ("off_neighbours", "uncertain"),
         ),
         "search": (search, ("key_view", "topography_view", "points", "prediction"), ("places", "returns")),

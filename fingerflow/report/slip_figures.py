@@ -42,10 +42,7 @@ def draw_motion(
     axes.quiver(
         *feet[shown].T, *arrows[shown].T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.003, zorder=2
     )  # fmt: skip
-    for outline, colour, dashes, name in (
-        (contact_outline, INK, "--", "contact"),
-        (stuck_outline, RED, "-", "stuck"),
-    ):
+    for outline, colour, dashes, name in ((contact_outline, INK, "--", "contact"), (stuck_outline, RED, "-", "stuck")):
         if outline is not None and len(np.asarray(outline)):
             ring = np.asarray(outline, dtype=float)
             axes.plot(*np.append(ring, ring[:1], 0).T, color=colour, linestyle=dashes, linewidth=1.4, label=name)

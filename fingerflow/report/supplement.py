@@ -103,11 +103,7 @@ def _ideal_observer(trials: Trials) -> Sheet:
         SheetPanel.single("B", draw_roc, printed, columns=2),
         SheetPanel.single("C, d'", draw_estimates, {name: seen.d_prime for name, seen in ideal.items()}, "d'", 0),
         SheetPanel.single(
-            "C, AUC",
-            draw_estimates,
-            {name: seen.auc for name, seen in ideal.items()},
-            "area under the ROC",
-            0.5,
+            "C, AUC", draw_estimates, {name: seen.auc for name, seen in ideal.items()}, "area under the ROC", 0.5
         ),
     )
     return Sheet("S11", panels, (("the rest", lacks),) if lacks else (), "ideal observer of each metric")

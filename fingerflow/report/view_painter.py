@@ -78,10 +78,7 @@ class ViewPainter:
             cv2.polylines(arrows, list(np.stack((now, tips), axis=1)[shown]), False, ARROW, 1, cv2.LINE_AA, 3)
             cv2.addWeighted(arrows, _ARROW_OPACITY, part, 1 - _ARROW_OPACITY, 0, dst=part)
         lost = ~tracked & np.isfinite(positions[0]).all(-1)
-        for drawn, colour in (
-            (now[tracked], TRACKED),
-            (_drawing_coordinates(positions[0], matrix)[lost], LOST),
-        ):
+        for drawn, colour in ((now[tracked], TRACKED), (_drawing_coordinates(positions[0], matrix)[lost], LOST)):
             for position in drawn.tolist():
                 cv2.circle(part, position, 14, colour, -1, cv2.LINE_AA, 3)
 

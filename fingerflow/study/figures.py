@@ -9,15 +9,7 @@ from matplotlib.axes import Axes
 
 from fingerflow.models.growth_laws import power_law
 from fingerflow.models.observer import FORCED_CHOICE
-from fingerflow.plot.axes_style import (
-    ONE_COLUMN_MM,
-    RED,
-    TWO_COLUMNS_MM,
-    dot_styles,
-    finished,
-    line_styles,
-    named_lines,
-)
+from fingerflow.plot import axes_style
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
@@ -47,12 +39,7 @@ StudyFigure = tuple[str, str, str, list[str]]
 
 
 def write_figures(
-    frame: Any,
-    sample: Sample,
-    curves: Any,
-    folder: Path,
-    design: str = FORCED_CHOICE,
-    files: FigureFiles = PNG,
+    frame: Any, sample: Sample, curves: Any, folder: Path, design: str = FORCED_CHOICE, files: FigureFiles = PNG
 ) -> list[StudyFigure]:
     """Draw and write the figures of a study with captions, and return the outcome for each figure.
 
@@ -103,7 +90,7 @@ def write_figures(
             written.append((name, "", "", left_out))
             continue
         ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
-        write(Sheet(name, ordered, title=sheet.title), files.width_mm or TWO_COLUMNS_MM, left_out)
+        write(Sheet(name, ordered, title=sheet.title), files.width_mm or axes_style.TWO_COLUMNS_MM, left_out)
     singles: dict[str, tuple[Any, ...]] = {
         metric: (draw_curves, curves, metric) for metric in BY_SHARE if (curves["metric"] == metric).any()
     }
@@ -111,7 +98,7 @@ def write_figures(
     if len(slid):
         singles["friction"] = draw_friction_law, slid
     for name, drawn_by in singles.items():
-        write(Sheet(name, (SheetPanel.single("", *drawn_by),)), files.width_mm or ONE_COLUMN_MM, [])
+        write(Sheet(name, (SheetPanel.single("", *drawn_by),)), files.width_mm or axes_style.ONE_COLUMN_MM, [])
     return written
 
 
@@ -125,14 +112,14 @@ def draw_friction_law(axes: Axes, slid: Any) -> Axes:
         for name in ("friction_force", "friction")
     )
     names = list(dict.fromkeys(people))
-    for name, style in zip(names, dot_styles(len(names)), strict=True):
+    for name, style in zip(names, axes_style.dot_styles(len(names)), strict=True):
         axes.loglog(force[people == name], friction[people == name], **style)
     law = power_law(force, friction, people.to_numpy())
     ends = np.array([force.min(), force.max()])
-    axes.loglog(ends, law.factor * ends**law.exponent, color=RED)
+    axes.loglog(ends, law.factor * ends**law.exponent, color=axes_style.RED)
     axes.set(xlabel="normal force over own mean", ylabel="friction coefficient over own mean")
     axes.set_title(f"n - 1 = {format_uncertainty(law.exponent, law.exponent_std)}")
-    return finished(
+    return axes_style.finished(
         axes,
         "Friction coefficient where no skin sticks against the median normal force there, one dot a trial, one marker "
         "a participant, with k N^(n - 1) (Adams et al. 2013): n - 1 ± one standard deviation, leaving out a "
@@ -156,8 +143,8 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     # Let the range of the axis follow the means, as the interval of two participants is many times wider.
     means = shown.shown_values(rows["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
-    ordered, named = line_styles(len(conditions), ordered=True), named_lines(len(conditions))
-    dashed = dict(zip(named, line_styles(len(named)), strict=True))
+    ordered, named = axes_style.line_styles(len(conditions), ordered=True), axes_style.named_lines(len(conditions))
+    dashed = dict(zip(named, axes_style.line_styles(len(named)), strict=True))
     for index, condition in enumerate(conditions):
         part, colour = rows[rows["condition"] == condition], ordered[index]["color"]
         force, mean = part[along], shown.shown_values(part["mean"])

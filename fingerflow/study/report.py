@@ -38,10 +38,7 @@ _MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median abs
 
 
 def write_study_report(
-    manifest: Manifest,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    figure_files: FigureFiles = PNG,
+    manifest: Manifest, scheduler: str | None = None, workers: int | None = None, figure_files: FigureFiles = PNG
 ) -> Path:
     """Write the page of a study (`index.html`), `statistics.json`, figures, and a report of each trial.
 

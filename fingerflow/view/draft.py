@@ -231,10 +231,7 @@ def _default_views(kind: str, height: int, width: int) -> dict[str, Any]:
     rows = [0, height]
     if "contact" in KINDS[kind].views:
         half = width // 2
-        return {
-            "contact": {"rows": rows, "columns": [half, width]},
-            "topography": {"rows": rows, "columns": [0, half]},
-        }
+        return {"contact": {"rows": rows, "columns": [half, width]}, "topography": {"rows": rows, "columns": [0, half]}}
     return {name: {"rows": rows, "columns": [0, width]} for name in KINDS[kind].views}
 
 

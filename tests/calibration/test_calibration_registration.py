@@ -107,10 +107,7 @@ def test_a_distractor_is_left_out() -> None:
     """
     stain, other = DrawnDisc(205.0, 215.0, 26, 26), DrawnDisc(35.0, 130.0, 34, 34)
     matrix = similarity(170, 1.05, MIDDLE, MIDDLE)
-    for here, there in (
-        ((*TARGET, stain), moved(TARGET, matrix)),
-        ((*TARGET, stain), (*moved(TARGET, matrix), other)),
-    ):
+    for here, there in (((*TARGET, stain), moved(TARGET, matrix)), ((*TARGET, stain), (*moved(TARGET, matrix), other))):
         for order in permutations(range(len(there))):
             pairs = match_discs(as_found(here), [as_found(there)[k] for k in order])
             assert {pair[0].center for pair in pairs} == {(disc.x, disc.y) for disc in TARGET}

@@ -154,10 +154,7 @@ def test_what_functions_check_themselves(name: str, change: dict[str, Any], word
         (lambda: tracking.sizes_of(21, 1 << 16), "32768 in all"),
         (lambda: tracking.sizes_of(0, 3), "0 px windows"),
         (lambda: tracking.find_neighbours(np.zeros((1, 2), np.float32), 9.0), "1 points have no neighbours"),
-        (
-            lambda: NativeEngine(EngineSettings(gross_radius_px=1, cell_px=4)),
-            "cells of 4 px",
-        ),
+        (lambda: NativeEngine(EngineSettings(gross_radius_px=1, cell_px=4)), "cells of 4 px"),
     ],
 )
 def test_sizes_that_cannot_be_are_refused(attempt: Callable[[], Any], words: str) -> None:

@@ -458,9 +458,7 @@ TWINS = {
     # Positions agree to two units in the last place. Portable fits are matrix products, whose gradients differ by a few
     # 1e-5 where points are few, and by a third more where they are extrapolated, or squared in the covariance.
     "correct_points": Twin(
-        corrections,
-        (1e-5, 1.3e-4),
-        {"covariance": (1e-5, 1e-6), "warp": (1e-5, 4e-5), "shift": (1e-5, 6e-4)},
+        corrections, (1e-5, 1.3e-4), {"covariance": (1e-5, 1e-6), "warp": (1e-5, 4e-5), "shift": (1e-5, 6e-4)}
     ),
     **{
         f"local_gradients {dtype} {gauge * unit}": Twin(

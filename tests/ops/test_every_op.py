@@ -327,9 +327,7 @@ MEASURES = "green_lagrange, as_printed, infinitesimal"
 
 #: Valid arguments of each op.
 FITTED: dict[Callable[..., Any], dict[str, Any]] = {
-    area_medians: {
-        **{"reference": NODES[:1], "displacement": NODES[:1], "ellipse": DISC, "gauge_length": 1.0},
-    },
+    area_medians: {**{"reference": NODES[:1], "displacement": NODES[:1], "ellipse": DISC, "gauge_length": 1.0}},
     ops.detect_corners: {"frame": IMAGE},
     ops.dense_flow: {"first": BLANK[:1], "current": BLANK[:1]},
     ops.helmholtz_hodge: {"field": FIELD},

@@ -14,16 +14,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS, USABLE
-from tests.small_trials import (
-    FRAMES,
-    HEIGHT,
-    SPOILED,
-    WIDTH,
-    dim_contact,
-    recipe_of_trials,
-    write_library_bundle,
-    write_trial,
-)
+from tests import small_trials
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 
@@ -52,8 +43,8 @@ class Small(NamedTuple):
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
     folder = tmp_path_factory.mktemp("bad_frames")
-    bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
-    write_trial(folder / "trial")
+    bundle = small_trials.write_library_bundle(folder / "bundle", small_trials.recipe_of_trials())
+    small_trials.write_trial(folder / "trial")
     frames = np.load(folder / "trial" / "frames.npy")
     unplayed = Small(folder, bundle, frames, player.StreamResults(frames[:0], {}, []))
     return unplayed._replace(clean=unplayed.play(frames))
@@ -85,7 +76,7 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
     point: its growth in a frame, as an onset in a bad frame is seen a frame late, and three standard deviations of the
     difference of two estimates, from second differences in time, whose variance is 6 sigma^2.
     """
-    good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
+    good, clean = np.setdiff1d(np.arange(small_trials.FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
         np.testing.assert_array_equal(records[name][good], clean[name][good], err_msg=name)
     np.testing.assert_array_equal(records["status"][good], clean["status"][good])
@@ -114,11 +105,11 @@ def test_a_bad_frame_counts_in_no_number_live_or_recorded(small: Small) -> None:
     assert _status_of(small.clean.records) == {}
     assert small.clean.events[0]["event"] == "restart"
     frames = small.frames.copy()
-    for k, (spoil, _) in zip(ALONE, SPOILED.values(), strict=True):
+    for k, (spoil, _) in zip(ALONE, small_trials.SPOILED.values(), strict=True):
         frames[k] = spoil(frames[k])
     played = small.play(frames)
     live = played.records
-    assert _status_of(live) == {k: status for k, (_, status) in zip(ALONE, SPOILED.values(), strict=True)}
+    assert _status_of(live) == {k: status for k, (_, status) in zip(ALONE, small_trials.SPOILED.values(), strict=True)}
     _assert_unknown(live, ALONE)
     _assert_others_as_before(small, live, ALONE)
     assert [event["frame"] for event in played.events if event["event"] == "restart"] == [0]
@@ -149,7 +140,9 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
         frames, places = small.frames.copy(), []
         for number, event in enumerate(one for one in clean.events if one["event"] == "threshold"):
             places.append(event["frame"])
-            frames[places[-1]] = SPOILED["black" if number % 2 else "dim contact view"][0](frames[places[-1]])
+            frames[places[-1]] = small_trials.SPOILED["black" if number % 2 else "dim contact view"][0](
+                frames[places[-1]]
+            )
         played = small.play(frames)
     finally:
         scene_file.write_text(text)
@@ -170,7 +163,7 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
 def test_what_stays_is_the_new_state(small: Small) -> None:
     """Every frame counts after the light of the contact view falls to 70 % for good."""
     frames = small.frames.copy()
-    frames[40:] = np.stack([dim_contact(one) for one in frames[40:]])
+    frames[40:] = np.stack([small_trials.dim_contact(one) for one in frames[40:]])
     played = small.play(frames)
     assert _status_of(played.records) == {}
     assert np.isfinite(played.records["real_contact_area"][43:]).all()
@@ -182,6 +175,10 @@ def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys:
     said = capsys.readouterr().out
     assert "no frame could be measured (8 dark)" in said
     glass = np.load(small.folder / "trial" / "empty.npy")
-    small.play(np.broadcast_to(glass.reshape(-1, *glass.shape[-2:])[0], (8, HEIGHT, 2 * WIDTH)).astype(np.uint8))
+    small.play(
+        np.broadcast_to(
+            glass.reshape(-1, *glass.shape[-2:])[0], (8, small_trials.HEIGHT, 2 * small_trials.WIDTH)
+        ).astype(np.uint8)
+    )
     said = capsys.readouterr().out
     assert "no frame showed a contact" in said

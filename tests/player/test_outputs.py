@@ -309,10 +309,7 @@ def test_a_condition_rises_once_and_beyond_its_margin_again(text: str, given: li
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (
-            ("--send", "tcp:127.0.0.1:5"),
-            "output 'tcp:127.0.0.1:5': there is no kind 'tcp'; give one of callback",
-        ),
+        (("--send", "tcp:127.0.0.1:5"), "output 'tcp:127.0.0.1:5': there is no kind 'tcp'; give one of callback"),
         (("--send", "udp:127.0.0.1"), "'127.0.0.1' is no HOST:PORT; its form is udp:HOST:PORT"),
         (("--send", "zeromq:127.0.0.1"), "is no tcp://HOST:PORT"),
         (("--send", "serial:/nowhere"), "/nowhere cannot be opened (No such file or directory)"),

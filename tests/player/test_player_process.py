@@ -58,10 +58,7 @@ def test_the_command_line_of_the_package_is_the_same_player(stream: Stream) -> N
     """`fingerflow stream` and `fingerflow export-table` of its results run without importing torch."""
     code = "import sys; from fingerflow.cli import main\ntry: main()\nfinally: assert 'torch' not in sys.modules"
     options = ["--source", "synthetic", "--frames", "20", "--output", "results", "--page", "off"]
-    for arguments in (
-        ["stream", str(stream.bundle), *options],
-        ["export-table", "results", "table.csv"],
-    ):
+    for arguments in (["stream", str(stream.bundle), *options], ["export-table", "results", "table.csv"]):
         ended = subprocess.run(
             [sys.executable, "-c", code, *arguments], cwd=stream.folder, capture_output=True, text=True
         )

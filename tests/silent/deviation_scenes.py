@@ -40,11 +40,7 @@ SLIDES = (
     ("104_2", 3.0, 90, 0.5, -1.0),
 )
 # Print, noise, frames, ratio of kinetic to static friction.
-SLIPS = (
-    ("101_2", 2.0, 60, 0.5),
-    ("101_4", 1.0, 60, 0.7),
-    ("104_1", 3.0, 90, 0.5),
-)
+SLIPS = (("101_2", 2.0, 60, 0.5), ("101_4", 1.0, 60, 0.7), ("104_1", 3.0, 90, 0.5))
 
 Kind = TypeVar("Kind", bound=SyntheticScene)
 

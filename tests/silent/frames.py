@@ -29,16 +29,8 @@ from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, frame_key
 from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import jumps_and_returns
+from tests import small_trials
 from tests.silent.case import Case, records_of
-from tests.small_trials import (
-    SPOILED,
-    dim_contact,
-    recipe_of_trials,
-    scene_beside,
-    warnings_of,
-    write_library_bundle,
-    write_scene_of_bundle,
-)
 
 Array = np.ndarray[Any, Any]
 Frames = Array
@@ -88,11 +80,11 @@ def _of_itself(spoil: Callable[[Array], Array]) -> Callable[[Frames, int], Array
 
 def _dim_topography(frames: Frames, k: int) -> Array:
     middle = frames[k].shape[1] // 2
-    return np.roll(dim_contact(np.roll(frames[k], middle, 1)), middle, 1)
+    return np.roll(small_trials.dim_contact(np.roll(frames[k], middle, 1)), middle, 1)
 
 
 def _faults() -> Iterator[Fault]:
-    for name, (spoil, _) in SPOILED.items():
+    for name, (spoil, _) in small_trials.SPOILED.items():
         yield Fault(name, 1, _of_itself(spoil))
     yield Fault("dim topography view", 1, _dim_topography)
     yield Fault("noise", 1, lambda frames, k: np.random.default_rng(k).integers(0, 256, frames[k].shape))
@@ -141,7 +133,7 @@ def recorded(folder: Path, step: int) -> Iterator[Case]:
     clean = process(load_scene(folder / "slide" / "scene.toml"))
     for fault in islice(_faults(), 0, None, step):
         bad_frames, bad = spoiled(frames, fault)
-        found = process(scene_beside(folder / "slide", folder, frames=bad_frames))
+        found = process(small_trials.scene_beside(folder / "slide", folder, frames=bad_frames))
         off = np.zeros(len(frames))
         for name in ("strain_energy", "median_divergence"):
             deviation = np.hypot(found[f"{name}_std"].values, clean[f"{name}_std"].values)
@@ -150,13 +142,15 @@ def recorded(folder: Path, step: int) -> Iterator[Case]:
             moved = np.abs(found["displacement"].values - clean["displacement"].values).max(2)
             deviation = np.hypot(found["displacement_std"].values, clean["displacement_std"].values)
             off = np.fmax(off, _of_most(moved / np.maximum(deviation, 1e-12)))
-        yield _judged("recorded", fault, bad, bad_frames, found["frame_status"].values, off, warnings_of(found))
+        yield _judged(
+            "recorded", fault, bad, bad_frames, found["frame_status"].values, off, small_trials.warnings_of(found)
+        )
 
 
 def live(folder: Path, step: int) -> Iterator[Case]:
     """Yield the faults in a stream."""
-    scene = write_scene_of_bundle(folder / "live", SLIDE)
-    bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
+    scene = small_trials.write_scene_of_bundle(folder / "live", SLIDE)
+    bundle = small_trials.write_library_bundle(folder / "bundle", small_trials.recipe_of_trials())
     frames = np.load(folder / "live" / "frames.npy")
 
     def play(played: Frames) -> Array:

@@ -17,13 +17,7 @@ from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
 from fingerflow.study.run_study import run_study
 from fingerflow.study.simulated import write_recordings
-from fingerflow.study.simulated_trials import (
-    Design,
-    Presses,
-    answer_table,
-    draw_presses,
-    make_recording,
-)
+from fingerflow.study.simulated_trials import Design, Presses, answer_table, draw_presses, make_recording
 from fingerflow.study.table import write_tables
 
 pytestmark = pytest.mark.long  # the chains of a design take a minute

@@ -49,11 +49,7 @@ class PsychometricFit:
 
 
 def fit_psychometric(
-    stimulus: ArrayLike,
-    answers: ArrayLike,
-    trials: ArrayLike,
-    participants: ArrayLike,
-    guess: float | None = None,
+    stimulus: ArrayLike, answers: ArrayLike, trials: ArrayLike, participants: ArrayLike, guess: float | None = None
 ) -> PsychometricFit:
     """Fit a curve P(x) = guess + (1 - guess - lapse) Phi((x - middle) / width) to counts of answers at stimuli x.
 

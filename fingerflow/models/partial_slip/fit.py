@@ -54,11 +54,7 @@ class FrictionFit:
 
 
 def fit_friction(
-    stuck_area: ArrayLike,
-    load_ratio: ArrayLike,
-    level: float = 0.95,
-    resamples: int = 1000,
-    seed: int = 0,
+    stuck_area: ArrayLike, load_ratio: ArrayLike, level: float = 0.95, resamples: int = 1000, seed: int = 0
 ) -> FrictionFit:
     """Fit the coefficients of static and kinetic friction in equation 5 of Terekhov & Hayward (2011) to the stuck area
     share d^2 and the load ratio T/N (tangential over normal force) in frames of slow loading.

@@ -12,12 +12,7 @@ _MAXIMUM_CENTROID_OFFSET = 0.15
 
 
 def scattered_to_grid(
-    points: Tensor,
-    values: Tensor,
-    grid_x: Tensor,
-    grid_y: Tensor,
-    gauge_length: float,
-    mask: Tensor | None = None,
+    points: Tensor, values: Tensor, grid_x: Tensor, grid_y: Tensor, gauge_length: float, mask: Tensor | None = None
 ) -> Tensor:
     """Interpolate values (B, N, C) at scattered points (B, N, 2) to the H x W nodes of a regular grid: (B, C, H, W).
 

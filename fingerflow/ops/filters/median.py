@@ -156,12 +156,7 @@ def _run(program: MedianProgram, frames: Tensor) -> Tensor:
 
 
 def run_network(
-    steps: Sequence[Step],
-    outputs: Sequence[Operand],
-    planes: Sequence[Tensor],
-    columns: int = 0,
-    *,
-    views: bool = True,
+    steps: Sequence[Step], outputs: Sequence[Operand], planes: Sequence[Tensor], columns: int = 0, *, views: bool = True
 ) -> list[Tensor]:
     """Execute the `steps` of a median network, pairwise minima and maxima, on flat planes of pixels (one for each
     position within a tile), and return the planes that `outputs` names.

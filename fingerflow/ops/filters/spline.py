@@ -59,10 +59,5 @@ def spline_weights(fraction: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, 
         2 / 3 + rest_square * (rest / 2 - 1),
         square * fraction / 6,
     )
-    slope = (
-        rest_square / -2,
-        fraction * (1.5 * fraction - 2),
-        rest * (2 - 1.5 * rest),
-        square / 2,
-    )
+    slope = (rest_square / -2, fraction * (1.5 * fraction - 2), rest * (2 - 1.5 * rest), square / 2)
     return value, slope

@@ -38,27 +38,10 @@ from fingerflow.kernels.tensors.twins import Twin, twin
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients, spline_weights
-from fingerflow.ops.flow.flow_cells import (
-    CELL,
-    halved,
-    integrated,
-    spread,
-    to_cells,
-    to_pixels,
-    window,
-    window_variance,
-)
+from fingerflow.ops.flow import flow_cells, flow_penalty
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
 from fingerflow.ops.flow.flow_covariance import flow_covariance
 from fingerflow.ops.flow.flow_multigrid import Level, descended, edges, halved_edges, pyramid
-from fingerflow.ops.flow.flow_penalty import (
-    FlowModel,
-    FlowResidual,
-    Penalty,
-    data_weights,
-    mean_edge_weight,
-    weighted_levels,
-)
 from fingerflow.ops.tensors import finite
 
 _CYCLES = 3  # multigrid cycles after the last warp
@@ -66,7 +49,7 @@ _MARGIN = 2  # px at the border of an image, where its spline would need pixels 
 _SMALLEST_SIDE = 32  # px, smallest side of a halved image
 _TINY = 1e-12
 _compiled_fields: Twin[tuple[Tensor, ...]] = twin("flow_template")
-_compiled_residual: Twin[FlowResidual] = twin("flow_left")
+_compiled_residual: Twin[flow_penalty.FlowResidual] = twin("flow_left")
 # Window side (px), roughness and number of warps for scenes with motion boundaries: photographs, discs that move one
 # after the other, a jump.
 _EDGE_BOX, _EDGE_ROUGHNESS, _EDGE_WARPS = 5, 0.15, 5
@@ -127,7 +110,7 @@ def dense_flow(
     roughness: float = 0.04,
     warps: int = 2,
     noise: Tensor | None = None,
-    model: FlowModel = "auto",
+    model: flow_penalty.FlowModel = "auto",
 ) -> Flow:
     """Compute the displacement, px, of every pixel of the image `first` to the image `current`, with covariance and
     residual.
@@ -167,7 +150,7 @@ def dense_flow(
         NaN: in a pixel of `first`, leaves the displacement around it NaN.
         border: NaN where a displaced pixel lies outside the current image.
     """
-    _check_choice("model", model, FlowModel)
+    _check_choice("model", model, flow_penalty.FlowModel)
     return whole_flow(first, current, initial, mask, noise, box, roughness, warps, model)
 
 
@@ -274,8 +257,8 @@ def _build_template(
     # A pixel that is unknown in one channel is unknown in all.
     inside, textured, right, down = (_channel_minimum(field, count) for field in (inside, *cells))
     products = _sum(tensor, count)
-    weights = window(max(box / CELL, 1.0))
-    tensor = textured * integrated(products, weights)
+    weights = flow_cells.window(max(box / flow_cells.CELL, 1.0))
+    tensor = textured * flow_cells.integrated(products, weights)
     alpha = _smoothing(variance, roughness)
     energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / textured.sum((1, 2, 3)).clamp_min(1)
     of_noise = _noise_of_tensor(variance, constancy)
@@ -297,9 +280,11 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
     """
     alpha = _smoothing(template.variance, template.roughness)
     if finest is not template.levels[0]:
-        alpha = alpha * mean_edge_weight(finest, template.levels[0])
+        alpha = alpha * flow_penalty.mean_edge_weight(finest, template.levels[0])
     of_noise = _noise_of_tensor(template.variance, template.constancy)
-    return flow_covariance(finest.tensor, template.variance, alpha, window_variance(template.weights), of_noise)
+    return flow_covariance(
+        finest.tensor, template.variance, alpha, flow_cells.window_variance(template.weights), of_noise
+    )
 
 
 def _channel_minimum(fields: Tensor, count: int) -> Tensor:
@@ -345,8 +330,8 @@ def _fields(coefficients: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
     value = _sampled(clean, still)  # sampled as in `find_flow`, so that zero motion leaves no residual
     gradient = _slopes(clean) * _stays_inside(still, inside, _MARGIN)
     x, y = gradient[:, :1], gradient[:, 1:]
-    tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
-    textured = (halved(inside) > 0).to(inside.dtype)
+    tensor = flow_cells.halved(torch.cat((x * x, x * y, y * y), dim=1))
+    textured = (flow_cells.halved(inside) > 0).to(inside.dtype)
     return value, gradient, inside, tensor, textured, *halved_edges(*edges(inside))
 
 
@@ -355,14 +340,14 @@ def find_flow(
     current: Tensor,
     initial: Tensor | None = None,
     warps: int = 2,
-    penalty: Penalty = "quadratic",
+    penalty: flow_penalty.Penalty = "quadratic",
 ) -> Flow:
     """Compute the flow from a prepared first image to a current image; the arguments are those of `dense_flow`.
 
     `penalty` is that of both terms, "quadratic" or "charbonnier".
     """
     _check_image("current", current, template.inside)
-    _check_choice("penalty", penalty, Penalty)
+    _check_choice("penalty", penalty, flow_penalty.Penalty)
     if warps < 1:
         raise ValueError(f"warps must be at least 1, not {warps}")
     shape = (len(current), 2, *current.shape[-2:])
@@ -372,7 +357,7 @@ def find_flow(
     if initial is None:
         flow = _initial_flow(template, image, warps, penalty)
     else:
-        flow = to_cells(initial.to(image.dtype), template.inside)
+        flow = flow_cells.to_cells(initial.to(image.dtype), template.inside)
     flow, left, finest = _refined(template, image, flow, warps, penalty)
     covariance = template.covariance
     if covariance is None or penalty == "charbonnier":
@@ -380,7 +365,7 @@ def find_flow(
     return _to_pixels(template, flow, left, covariance)
 
 
-def _to_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual, covariance: Tensor) -> Flow:
+def _to_pixels(template: FlowTemplate, flow: Tensor, left: flow_penalty.FlowResidual, covariance: Tensor) -> Flow:
     """Interpolate the flow, its covariance and the image residual from cells of 2 x 2 px to the pixels of the first
     image; return them as a `Flow`.
 
@@ -392,17 +377,17 @@ def _to_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual, covaria
     # gain.
     _, *fields, gain = left
     covariance = covariance * ((1 + 1 / (gain * gain)) / 2)
-    squares, seen = (integrated(field, template.weights) for field in fields)
+    squares, seen = (flow_cells.integrated(field, template.weights) for field in fields)
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
     deviations = torch.cat((covariance, residual), dim=1)
-    displacement = to_pixels(flow, valid, *size)
-    xx, xy, yy, residual = spread(deviations, valid, *size).split(1, dim=1)
+    displacement = flow_cells.to_pixels(flow, valid, *size)
+    xx, xy, yy, residual = flow_cells.spread(deviations, valid, *size).split(1, dim=1)
     lost = torch.where(_stays_inside(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
     rows = torch.cat((xx, xy, xy, yy), dim=1) + lost
     return Flow(displacement + lost, rows.unflatten(1, (2, 2)), residual + lost)
 
 
-def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
+def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: flow_penalty.Penalty) -> Tensor:
     """Estimate an initial flow from successively halved images; it is 0 if the template has no halved image."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
@@ -411,13 +396,13 @@ def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: 
     half = halved_image(current)
     coarse, _, _ = _refined(coarser, half, _initial_flow(coarser, half, warps, penalty), warps, penalty)
     # Pixels of the halved images are cells of the full ones.
-    wide = 2 * to_pixels(coarse, coarser.levels[0].inside, *half.shape[-2:])
+    wide = 2 * flow_cells.to_pixels(coarse, coarser.levels[0].inside, *half.shape[-2:])
     return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
 
 
 def _refined(
-    template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
-) -> tuple[Tensor, FlowResidual, Level]:
+    template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: flow_penalty.Penalty
+) -> tuple[Tensor, flow_penalty.FlowResidual, Level]:
     """Refine a flow on cells by `warps` rounds: each warps the current image by the flow, and solves a linear system
     for the flow that reduces the remaining image difference.
 
@@ -429,17 +414,17 @@ def _refined(
         data, _, seen, _ = left
         valid, levels = (seen > 0).to(flow.dtype), template.levels
         if penalty == "charbonnier":
-            of_data = data_weights(left, LEFT_BY_NOISE[template.constancy] ** 2 * template.variance)
-            tensor = integrated(of_data * template.products, template.weights)
-            levels = weighted_levels(levels[0], tensor, flow, valid, template.roughness)
+            of_data = flow_penalty.data_weights(left, LEFT_BY_NOISE[template.constancy] ** 2 * template.variance)
+            tensor = flow_cells.integrated(of_data * template.products, template.weights)
+            levels = flow_penalty.weighted_levels(levels[0], tensor, flow, valid, template.roughness)
             data = of_data * data
-        pull = -levels[0].inside * integrated(data, template.weights)
+        pull = -levels[0].inside * flow_cells.integrated(data, template.weights)
         # Warps before the last one only bring the image close enough to be linearised.
         flow = descended(levels, pull, flow, valid, _CYCLES if warp + 1 == warps else 1)
     return flow, left, levels[0]
 
 
-def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> FlowResidual:
+def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> flow_penalty.FlowResidual:
     """Compute the residual of a flow on cells of 2 x 2 px: what displacement and a change of illumination gain and
     offset do not explain of the difference between the two images.
 
@@ -458,7 +443,7 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
 
 def _channel_residuals(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
-) -> FlowResidual:
+) -> flow_penalty.FlowResidual:
     """Compute the image difference that a flow leaves (see `_residual`) separately for each channel: the grey levels
     and, if these are assumed constant too, the components of their gradient.
 
@@ -467,7 +452,7 @@ def _channel_residuals(
     images = coefficients, value, gradient, inside, flow, known
     if _compiled_residual.serves(*images):
         return _compiled_residual(*images, _MARGIN, limits.MOST_GAIN)
-    displacement = to_pixels(flow, known, *coefficients.shape[-2:])
+    displacement = flow_cells.to_pixels(flow, known, *coefficients.shape[-2:])
     warped = _sampled(coefficients, displacement)
     usable = finite(warped)
     seen, warped = (
@@ -476,7 +461,7 @@ def _channel_residuals(
     )
     gain, offset = _fit_gain_and_offset(value, warped, seen)
     left = seen * (warped - offset - gain * value)
-    means = halved(torch.cat((gradient * left, left * left, seen), dim=1))
+    means = flow_cells.halved(torch.cat((gradient * left, left * left, seen), dim=1))
     return means[:, :2], means[:, 2:3], means[:, 3:], gain
 
 

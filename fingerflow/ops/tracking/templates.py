@@ -319,13 +319,7 @@ def without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
 
 
 def _numbers(
-    value: Tensor,
-    slope: Tensor,
-    gradient: Tensor,
-    level: Tensor,
-    variance: Tensor,
-    rounding: float,
-    gain_offset: bool,
+    value: Tensor, slope: Tensor, gradient: Tensor, level: Tensor, variance: Tensor, rounding: float, gain_offset: bool
 ) -> Tensor:
     samples = value.shape[1]
     xx, xy, yy = ((gradient[:, i] * gradient[:, j]).sum(1) for i, j in ((0, 0), (0, 1), (1, 1)))

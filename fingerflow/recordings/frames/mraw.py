@@ -82,10 +82,7 @@ def open_frames(path: Path) -> FileRecording:
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # "Start Frame" counts recorded frames from the trigger
         has_trigger=bool(header.text("Start Frame", " ").strip()),
-        warnings=(
-            *header.warnings,
-            *surplus(pixels.stat().st_size - count * frame_bytes, frame_bytes, count),
-        ),
+        warnings=(*header.warnings, *surplus(pixels.stat().st_size - count * frame_bytes, frame_bytes, count)),
         metadata={
             "camera": header.text("Camera Type", "Photron"),
             "record_rate_hz": rate * step,

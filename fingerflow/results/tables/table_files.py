@@ -22,11 +22,7 @@ _BEGINNINGS = (b"frame,", b"track_id,")
 
 
 def export_table(
-    result: xr.Dataset,
-    path: Path,
-    rows: str = "frame",
-    variables: Sequence[str] | None = None,
-    overwrite: bool = False,
+    result: xr.Dataset, path: Path, rows: str = "frame", variables: Sequence[str] | None = None, overwrite: bool = False
 ) -> None:
     """Write a table of a result as .csv, or the complete result as .mat, .nwb or .zarr.
 

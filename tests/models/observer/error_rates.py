@@ -13,17 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fingerflow.models.observer import (
-    auc,
-    clustered_regression,
-    criterion_for_hits,
-    d_prime,
-    one_way_anova,
-    pearson,
-    repeated_anova,
-    share_above,
-    spearman,
-)
+from fingerflow.models import observer
 
 Values = NDArray[np.float64]
 AMPLITUDES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
@@ -130,8 +120,12 @@ def hold_the_truth(studies: int) -> dict[str, float]:
     held = dict.fromkeys((*truths, "false alarms"), 0)
     for seed in range(studies):
         correct, incorrect, who = classes(compared(seed))
-        found = [d_prime(correct, incorrect, who), auc(correct, incorrect, who), criterion_for_hits(correct, who[0])]
-        found.append(share_above(found[-1].value, incorrect, who[1]))
+        found = [
+            observer.d_prime(correct, incorrect, who),
+            observer.auc(correct, incorrect, who),
+            observer.criterion_for_hits(correct, who[0]),
+        ]
+        found.append(observer.share_above(found[-1].value, incorrect, who[1]))
         expected = (*truths.values(), (wrong > found[2].value).mean())
         for name, truth, one in zip(held, expected, found, strict=True):
             held[name] += one.interval[0] <= truth <= one.interval[1]
@@ -144,16 +138,16 @@ def share(people: int, p_of: Callable[[int, int, float], float], effect: float, 
 
 
 def regression(own_slope: float, seed: int, people: int, slope: float) -> float:
-    return clustered_regression(**answered(seed, people, slope=slope, own_slope=own_slope)).p
+    return observer.clustered_regression(**answered(seed, people, slope=slope, own_slope=own_slope)).p
 
 
 def anova(groups: int, lacking: float, seed: int, people: int, effect: float) -> float:
-    return repeated_anova(**measured(seed, people, groups, effect, gaps=int(lacking * people))).p
+    return observer.repeated_anova(**measured(seed, people, groups, effect, gaps=int(lacking * people))).p
 
 
 def one_way(groups: int, seed: int, people: int, effect: float) -> float:
     table = measured(seed, people, groups, effect)
-    return one_way_anova(table["values"], table["groups"]).p
+    return observer.one_way_anova(table["values"], table["groups"]).p
 
 
 def correlation(kind: Callable[..., Any], seed: int, people: int, effect: float) -> float:
@@ -172,8 +166,8 @@ P_OF = {
     "ANOVA, 2 groups": (partial(anova, 2, 0.0), 2.0, 1.0, partial(one_way, 2)),
     "ANOVA, 7 groups": (partial(anova, 7, 0.0), 2.0, 1.0, partial(one_way, 7)),
     "ANOVA, 7 groups, 7 of 16 people lack one": (partial(anova, 7, 7 / 16), 2.0, 1.0, None),
-    "Pearson": (partial(correlation, pearson), 0.7, 0.5, partial(of_pairs, stats.pearsonr)),
-    "Spearman": (partial(correlation, spearman), 0.7, 0.5, partial(of_pairs, stats.spearmanr)),
+    "Pearson": (partial(correlation, observer.pearson), 0.7, 0.5, partial(of_pairs, stats.pearsonr)),
+    "Spearman": (partial(correlation, observer.spearman), 0.7, 0.5, partial(of_pairs, stats.spearmanr)),
 }
 
 

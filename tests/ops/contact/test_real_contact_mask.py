@@ -28,10 +28,7 @@ def scene(shape: tuple[int, int, int], dtype: torch.dtype, bits: int = 8) -> tup
 
 
 @pytest.mark.parametrize("size", [1, 3, 17])
-@pytest.mark.parametrize(
-    ("dtype", "bits"),
-    [(torch.uint8, 8), (torch.uint16, 16), (torch.float64, 10)],
-)
+@pytest.mark.parametrize(("dtype", "bits"), [(torch.uint8, 8), (torch.uint16, 16), (torch.float64, 10)])
 @pytest.mark.parametrize("shape", [(2, 61, 47), (3, 9, 70)])
 def test_the_mask_is_the_median_of_the_intensity_loss_above_0(
     size: int, dtype: torch.dtype, bits: int, shape: tuple[int, int, int]

@@ -100,10 +100,7 @@ def test_warp_is_needed_and_serves(points: Tensor) -> None:
 
     def mapping(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         x, y = x / MM - centre[0], y / MM - centre[1]
-        return (
-            (back[0, 0] * x + back[0, 1] * y + centre[0]) * MM,
-            (back[1, 0] * x + back[1, 1] * y + centre[1]) * MM,
-        )
+        return ((back[0, 0] * x + back[0, 1] * y + centre[0]) * MM, (back[1, 0] * x + back[1, 1] * y + centre[1]) * MM)
 
     first = texture_image(grey, SHAPE, MM).float()
     second = texture_image(grey, SHAPE, MM, mapping).float()

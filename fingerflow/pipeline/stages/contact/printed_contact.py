@@ -5,13 +5,7 @@ import torch
 from torch.nn import functional
 
 from fingerflow.ops.contact.otsu import otsu_threshold
-from fingerflow.ops.filters.illumination import (
-    NormalizedFrames,
-    contact_signal,
-    dequantize,
-    normalize_illumination,
-    quantize,
-)
+from fingerflow.ops.filters import illumination
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -56,21 +50,21 @@ class PrintedContactStage(Stage):
         if not touches.any():
             return
         assert batch.frames is not None
-        signal = contact_signal(self._normalized(batch.frames[touches]), self._first)
-        levels = median_filter(quantize(signal), _MEDIAN_PX)
+        signal = illumination.contact_signal(self._normalized(batch.frames[touches]), self._first)
+        levels = median_filter(illumination.quantize(signal), _MEDIAN_PX)
         threshold = otsu_threshold(levels)
         mask = levels > threshold.reshape(-1, 1, 1, 1)
         size = self.inputs.mm_per_px**2
         around = functional.pad(mask, (1, 1, 1, 1), value=True)
         eroded = mask & around[..., :-2, 1:-1] & around[..., 2:, 1:-1] & around[..., 1:-1, :-2] & around[..., 1:-1, 2:]
         values = {
-            "printed_contact_threshold": dequantize(threshold.double()),
+            "printed_contact_threshold": illumination.dequantize(threshold.double()),
             "printed_real_contact_area": mask.sum((1, 2, 3)).double() * size,
             "printed_eroded_contact_area": eroded.sum((1, 2, 3)).double() * size,
         }
         for name, series in self.series.items():
             series[batch.indices[touches]] = values[name].cpu()
 
-    def _normalized(self, frames: np.ndarray) -> NormalizedFrames:
+    def _normalized(self, frames: np.ndarray) -> illumination.NormalizedFrames:
         view: torch.Tensor = self.inputs.contact_view(frames)
-        return normalize_illumination(view, self._reference, self._dark)
+        return illumination.normalize_illumination(view, self._reference, self._dark)

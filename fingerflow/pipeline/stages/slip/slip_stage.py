@@ -13,14 +13,7 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from fingerflow.kernels.arrays import nanmedian
-from fingerflow.models.partial_slip import (
-    CurveComparison,
-    FrictionFit,
-    TrialVerdict,
-    compare_curves,
-    fit_friction,
-    judge_trial,
-)
+from fingerflow.models import partial_slip
 from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.fields.rigid_motion import rigid_residual
@@ -228,11 +221,11 @@ class SlipStage(Stage):
         deviation = np.sqrt(4 * np.pi * ratio / self._area * position_std**2 + _RATIO_NOISE**2)
         self.series["stuck_ratio_std"] = deviation
         verdict = self._judged(ratio, forces, deviation)
-        parts: dict[str, TrialVerdict | FrictionFit | CurveComparison] = {"verdict": verdict}
+        parts: dict[str, Any] = {"verdict": verdict}
         if verdict.collapse_frame >= 0 and forces is not None:
             slow = verdict.loading()
-            parts["friction_fit"] = verdict.check_fit(fit_friction(ratio[slow], forces[slow]))
-            parts["curves"] = compare_curves(ratio[slow], forces[slow])
+            parts["friction_fit"] = verdict.check_fit(partial_slip.fit_friction(ratio[slow], forces[slow]))
+            parts["curves"] = partial_slip.compare_curves(ratio[slow], forces[slow])
         judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": settings.criterion, "stuck_mm": self._limit()}
         power = {} if not (border and border.fit) else {"power": border.fit.power, "power_std": border.fit.power_std}
@@ -308,7 +301,7 @@ class SlipStage(Stage):
 
     def _judged(
         self, ratio: NDArray[np.float64], forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]
-    ) -> TrialVerdict:
+    ) -> partial_slip.TrialVerdict:
         start = "in the first frame, from which displacement counts: set [recording] first_frame"
         cut = "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
         reasons = {
@@ -321,8 +314,8 @@ class SlipStage(Stage):
         }
         reason = next((reason for reason, applies in reasons.items() if applies), "")
         if reason or forces is None:
-            return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self.trial))
-        verdict = judge_trial(ratio, forces, self.inputs.times, deviation)
+            return partial_slip.TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self.trial))
+        verdict = partial_slip.judge_trial(ratio, forces, self.inputs.times, deviation)
         if verdict.outcome == "inconclusive" and self._edge.any():
             left = f"; the contact reaches the edge of the view in {int(self._edge.sum())} frames, whose d² is NaN"
             return replace(verdict, reason=verdict.reason + left)

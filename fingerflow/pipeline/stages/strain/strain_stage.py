@@ -143,17 +143,10 @@ class StrainStage(Stage):
     def _triangle_strain(
         self, moved: torch.Tensor, covariance: NDArray[np.floating], touching: NDArray[np.bool_]
     ) -> TriangleStrain:
-        return triangle_strain(
-            self._reference,
-            self._corners,
-            moved,
-            self.inputs.tensor(covariance),
-            torch.from_numpy(touching).to(self.inputs.device),
-            self._shared,
-            measure=self._settings.strain,
-            young_modulus_mpa=self._settings.young_modulus_mpa,
-            poisson_ratio=self._settings.poisson_ratio,
-        )
+        contact = torch.from_numpy(touching).to(self.inputs.device)
+        given = self._reference, self._corners, moved, self.inputs.tensor(covariance), contact, self._shared
+        young, poisson = self._elastic
+        return triangle_strain(*given, measure=self._settings.strain, young_modulus_mpa=young, poisson_ratio=poisson)
 
     def _lost_by_smoothing(self, moved: NDArray[np.float64], touching: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return by how much the strain energies (n,) of n frames fall if the displacements `moved` (n, P, 2) mm are

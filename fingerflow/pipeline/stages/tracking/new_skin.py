@@ -154,11 +154,7 @@ class NewSkin:
 
     def _on_topography(self, cells: Mask) -> Mask:
         side = self._cell * _STEP
-        picture = np.kron(cells.astype(np.uint8), np.ones((side, side), np.uint8))
-        height, width = self.searched[0].shape
-        onto = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        warped = cv2.warpAffine(np.asarray(picture, np.uint8), self._matrix, (width, height), flags=onto)
-        return np.asarray(warped > 0)
+        return on_topography(cells.repeat(side, 0).repeat(side, 1), self._matrix, self.searched[0].shape)
 
     def _near_points(self, position: Points) -> Mask:
         """Return the mask (h, w) of the pixels of the topographic view that lie nearer to a point of `position` (N, 2)
@@ -180,3 +176,9 @@ def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:
     """Return the values (K,) of a mask at indices (K,) along each of its axes; False outside the mask."""
     inside = np.all([(index >= 0) & (index < side) for index, side in zip(numbers, mask.shape, strict=True)], axis=0)
     return inside & mask[tuple(np.where(inside, index, 0) for index in numbers)]
+
+
+def on_topography(region: Mask, topography_to_contact: NDArray[np.float64], shape: tuple[int, ...]) -> Mask:
+    """Return a mask of the contact view as a mask of the topographic view, whose shape is given."""
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(region.astype(np.uint8), topography_to_contact, shape[::-1], flags=flags) > 0)

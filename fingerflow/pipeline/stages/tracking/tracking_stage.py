@@ -23,7 +23,7 @@ from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, SeededPoints
+from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, SeededPoints, on_topography
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
@@ -340,9 +340,7 @@ class TrackingStage(Stage):
         return self._on_topography(self._region)
 
     def _on_topography(self, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask (h, w) of the contact view as a mask of the topographic view."""
-        size, flags = self._view.shape[::-1], cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        return cv2.warpAffine(region.astype(np.uint8), self._to_contact, size, flags=flags) > 0
+        return on_topography(region, self._to_contact, self._view.shape)
 
     def _touching(self, margin: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return the mask (h, w) of the topographic view of the cells that are positive in `margin`."""
