@@ -69,7 +69,8 @@ def _about(study: PressStudy) -> str:
         f"{len(study.measured):,} presses have the true numbers of their chain, and errors as large as those that this "
         f"engine made on {len(study.pictured)} others, rendered as recordings of {study.design.frame_rate:g} frames/s; "
         "pictures and maps are of these. The observer feels the difference of divergence since onset, with "
-        "noise, better in fast presses. Strain, energy and divergence are those of the printed analysis, and beside "
+        "noise, better in fast presses. The level of friction and the observer's weights were chosen among a few tries "
+        "with these rows in view. Strain, energy and divergence are those of the printed analysis, and beside "
         "them those of this engine. Equations, settings and models are checked too. "
         f"Errors of the printed analysis, root mean square (mean): {errors}."
     )
