@@ -151,8 +151,7 @@ class Deformation:
         """
         moved, reference = since.displacement.astype(np.float32), since.reference.astype(np.float32)
         noise = since.variance + since.curvature
-        center, semi_axes, angle = ellipse
-        ellipse = FrameEllipse(center.astype(np.float32), semi_axes.astype(np.float32), angle.astype(np.float32))
+        ellipse = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
         covariance = displacement_covariance(noise, since.onset) * since.gain[:, None, None]
         entered = since.entered
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
@@ -167,8 +166,9 @@ class Deformation:
             )
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
-            bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
-            if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
+            since_onset = (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2
+            bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded, since_onset)
+            if since_onset:
                 bias += np.square(_COMMON)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
