@@ -380,8 +380,8 @@ STRAIN = (
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average"),
     Variable("strain_energy_between_points_std", FRAME, "mJ",
         "standard deviation of strain_energy_between_points, with that of the border's place",
-        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)² + U² q⁸), w̄ the mean w within half a gauge length of the border, p "
-        "its perimeter, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
+        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)² + U² q⁸), w̄ the mean w half a gauge length from the border, p "
+        "its length, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
         "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller"),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
     Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),
