@@ -39,10 +39,10 @@ _FIELD_STD_EQUATION = (
 )
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
-    "computed from, Δ_gauge a fifth of the change by twice the gauge length, RMS over the elements of the gradient, "
+    "computed from, Δ_gauge the change by twice the gauge length, since onset a fifth of it, RMS over the elements, "
     "Δ_border the change by an ellipse 0.035 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
     "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
-    "of fields √E points below and above, E points moved in, common on presses 0.64, "
+    "of fields √E/2 points below and above, E points moved in, common on presses 0.64, "
     "0.21, 0.23, 0.23 and 0.11 µm/mm of divergence, curl, e_xx, e_yy and e_xy, as skin that touches looks different"
 )
 _AREA_STD_EQUATION = (
@@ -371,8 +371,8 @@ STRAIN = (
         "given the points; elsewhere strain_energy_between_points + h w̄ A, A the rest of the contact and w̄ the mean w "
         "beside it"),
     Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
-        equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)²), u the RMS displacement, of which 0.4 µm may be common "
-        "to all points, with its difference Δ to the sum over triangles where skin at the border has moved since; "
+        equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)² + U² q⁸), u the RMS displacement, of which 0.4 µm may "
+        "be common to all points, q the window over the contact's width, with Δ to triangles where the border stopped; "
         "elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what smoothing displacements again "
         "over 2.5 windows takes from it"),
     Variable("strain_energy_between_points", FRAME, "mJ",
@@ -380,8 +380,8 @@ STRAIN = (
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average"),
     Variable("strain_energy_between_points_std", FRAME, "mJ",
         "standard deviation of strain_energy_between_points, with that of the border's place",
-        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)²), w̄ the mean w within half a gauge length of the border, p its "
-        "perimeter, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
+        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)² + U² q⁸), w̄ the mean w half a gauge length from the border, p "
+        "its length, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
         "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller"),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
     Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),

@@ -154,8 +154,7 @@ class Deformation:
         """
         moved, reference = since.displacement.astype(np.float32), since.reference.astype(np.float32)
         noise = since.variance + since.curvature
-        center, semi_axes, angle = ellipse
-        ellipse = FrameEllipse(center.astype(np.float32), semi_axes.astype(np.float32), angle.astype(np.float32))
+        ellipse = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
         covariance = displacement_covariance(noise, since.onset) * since.gain[:, None, None]
         entered = since.entered
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
@@ -170,12 +169,12 @@ class Deformation:
             )
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
-            bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
-            of_onset, counts = since.onset[..., 0, 0], np.isfinite(moved[rows, :, 0])
-            counted = (np.broadcast_to(of_onset, noise.shape)[rows] > 0) & counts
-            # Where most points in contact have displacements since their onset.
-            from_onset = counted.sum(1, keepdims=True) > counts.sum(1, keepdims=True) / 2
-            bias += np.where(from_onset, np.square(_COMMON), 0)
+            # Whether displacements count from onsets: whether they do of most points.
+            known_points = np.isfinite(moved[rows, :, 0])
+            counted = known_points & (np.broadcast_to(since.onset[..., 0, 0], noise.shape)[rows] > 0)
+            since_onset = counted.sum(1, keepdims=True) > known_points.sum(1, keepdims=True) / 2
+            bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded, since_onset)
+            bias += np.where(since_onset, np.square(_COMMON), 0)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
                 course.append(np.where(np.isfinite(values), values, course[-1]))

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.kernels.arrays import nanmedian
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM
 from fingerflow.tracker.deviations.smoothing import smoothing_variance
 
@@ -21,7 +20,7 @@ Array = NDArray[Any]
 
 def bias_variance(
     engine: Engine, reference: Array, displacement: Array, ellipse: FrameEllipse, fields: FrameFields,
-    entered: EnteredPoints | None,
+    entered: EnteredPoints | None, since_onset: Array,
 ) -> tuple[NDArray[np.float64], FrameFields]:  # fmt: skip
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy in n frames by the gauge length
     and by the border, NaN where a contact is too small for twice the gauge length; and the fields with that length.
@@ -38,15 +37,16 @@ def bias_variance(
         ellipse: of the apparent contact in these frames.
         fields: of these frames, with standard deviations.
         entered: points that were advected into the contact.
+        since_onset: (n, 1) whether displacements count from the onsets of contact.
     """
     assert fields.median_std is not None
-    of_points, components = np.square(fields.median_std), _stack_components(fields)
+    of_points = np.square(fields.median_std)
     # In a space of half the size the gauge length counts twice.
     half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
-    smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(ELLIPSE_MM))
+    smaller = ellipse._replace(semi_axes=ellipse.semi_axes - ELLIPSE_MM)
     wide = engine.fields(reference / 2, displacement / 2, half, None, entered)
     inner = engine.fields(reference, displacement, smaller, None, entered).median - fields.median
-    by_gauge = smoothing_variance(wide.median - fields.median, of_points, _fit_deviations(fields), components)
+    by_gauge = smoothing_variance(wide.median - fields.median, of_points, since_onset)
     return by_gauge + np.maximum(np.square(inner) - of_points, 0), wide
 
 
@@ -57,10 +57,9 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
     - Where fields are known only in a share of the contact, the median of all of it lies between the quantiles
       1/2 +- (1 - share) / (2 share) of the known values: anywhere, so that the deviation is half of their difference
       over sqrt(3).
-    - Where E of the points were advected, the median lies between ranks that are sqrt(E) points from its own. The
+    - Where E of the points were advected, the median lies between ranks that are sqrt(E) / 2 points from its own. The
       fields of such a point change within half a gauge length by as much as those of the whole contact, so its area
-      falls on either side of the median at random. Neighbours share errors of their entry, so that four of them count
-      as about one. The number is from slides with known truth.
+      falls on either side of the median at random: sqrt(E) / 2 is the standard deviation of a binomial distribution.
 
     It is 0 in frames where nothing is known and there are no medians. `entered` (n, N) marks the advected points.
     """
@@ -90,16 +89,8 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
 
     share = share[rows, None]
     result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
-    result[rows] += squared_half_range(np.sqrt(came[rows, None]))
+    result[rows] += squared_half_range(np.sqrt(came[rows, None]) / 2)
     return result
-
-
-def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
-    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points."""
-    assert fields.divergence_std is not None
-    assert fields.curl_std is not None
-    divergence, curl = (nanmedian(values)[:, None] for values in (fields.divergence_std, fields.curl_std))
-    return np.concatenate((divergence, curl, strain_deviations(divergence, curl)[:, 0]), axis=1)
 
 
 def strain_deviations(divergence_std: Array, curl_std: Array) -> Array:

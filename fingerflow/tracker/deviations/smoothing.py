@@ -103,31 +103,25 @@ class _Neighbours(NamedTuple):
         return np.add.reduceat(rows.take(self.number, axis=-1) * self.weight, self.start, axis=-1).astype(np.float64)
 
 
-def smoothing_variance(difference: Array, of_points: Array, single: Array, values: Array) -> Array:
+def smoothing_variance(difference: Array, of_points: Array, since_onset: Array) -> Array:
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that is due to
     the gauge length of the fits.
 
-    The four elements of a displacement gradient err alike, as fits to points that lie irregularly take the same
-    curvature of the displacement for gradients of all directions. Their mean square error is a share of the mean square
-    difference D to medians with twice the length.
+    Skin that sticks and skin that slips have different fields, and a median lies in the flank of what the fits blur
+    between them: on slides and in a rolling contact errors are as large as the difference D to medians with twice the
+    gauge length.
 
-    In a dense cloud of points the error by smoothing is proportional to the square of the gauge length, and so a third
-    of D. Fewer points scatter the fits, which moves a median in the flank of a distribution the other way: on presses
-    of real prints, of -2.3 um/mm by smoothing +1.9 are compensated. What is left is a fifth of D, RMS over presses and
-    slides of real prints. The noise s of a single fit shifts such a median too: by s at most, and by s^2 / w where the
-    distribution is wider, w the range between its quantiles of 40 and 60 %. With twice the length little of this noise
-    is left, so that up to this size all of D is error.
+    Since the onset of contact fields rise smoothly to the border. In a dense cloud of points the error is proportional
+    to the square of the gauge length, and so a third of D. Fewer points scatter the fits, which moves the median the
+    other way: on presses of real prints, of -2.3 um/mm by smoothing +1.9 are compensated. The four elements of a
+    displacement gradient err alike in what is left, as fits to points that lie irregularly take the same curvature of
+    the displacement for gradients of all directions. It is a fifth of D, RMS over the elements.
 
     Args:
         difference: (n, 5) D.
         of_points: (n, 5) variance of the medians by the errors of points, which is subtracted from D^2.
-        single: (n, 5) s.
-        values: (n, 5, N) values of the fields at points, NaN where unknown.
+        since_onset: (n, 1) whether displacements count from the onsets of contact.
     """
     square = np.square(difference) - of_points
-    smoothed = np.square(_SHARE) * np.maximum((square / _ELEMENTS).mean(1, keepdims=True), 0) * _ELEMENTS
-    ordered = np.sort(values, axis=-1)  # NaN last
-    last = np.maximum(np.isfinite(values).sum(-1, keepdims=True) - 1, 0)
-    low, high = (np.take_along_axis(ordered, (share * last).astype(int), -1)[..., 0] for share in (0.4, 0.6))
-    noise = single * np.minimum(1, single / np.maximum(high - low, 1e-12))
-    return np.fmax(smoothed, np.minimum(np.maximum(square, 0), np.square(noise)))
+    of_elements = np.square(_SHARE) * (square / _ELEMENTS).mean(1, keepdims=True) * _ELEMENTS
+    return np.maximum(np.where(since_onset, of_elements, square), 0)
