@@ -92,23 +92,31 @@ class NewSkin:
             old = len(before[0])
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
         tracked, far, side = np.flatnonzero(points.tracked), self._window / 2 * self._per_px, self._cell * _STEP
-        rows, columns = np.indices(touching.shape)
-        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
         # Nearest points are searched only for cells that touch, or soon may, without a point nearby: a press has few.
         cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[tracked]), initial=0.0) / side) + 1
         square = np.ones((2 * min(cells_ahead, max(touching.shape)) + 1,) * 2, np.uint8)
-        cells = np.flatnonzero(cv2.dilate(touching.astype(np.uint8), square))
+        empty = np.pad(cv2.dilate(touching.astype(np.uint8), square), 1)  # with a border for points outside
+        around = np.arange(-int(far / side) - 1, int(far / side) + 2)
+        number = np.floor((position[tracked] + 0.5) / side).astype(int)[..., None] + around
+        apart = ((number * _STEP + 0.5) * self._cell - 0.5 - position[tracked, :, None]) ** 2
+        point, down, across = np.nonzero(apart[:, 1, :, None] + apart[:, 0, None] <= far**2)
+        row, column = number[point, 1, down], number[point, 0, across]
+        empty[row.clip(-1, touching.shape[0]) + 1, column.clip(-1, touching.shape[1]) + 1] = 0
+        cells = np.flatnonzero(empty[1:-1, 1:-1])
+        if not len(cells):
+            return None
+        rows, columns = np.indices(touching.shape)
+        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
         tree = cKDTree(position[tracked])
-        cells = cells[tree.query(at[cells], distance_upper_bound=far)[0] > far]
         nearest = tree.query(at[cells])[1]
         coming = at[cells] + _AHEAD * way[tracked[nearest]]
-        empty = self._in(touching, at[cells]) | self._in(touching, coming)
-        if not empty.any():
+        soon = self._in(touching, at[cells]) | self._in(touching, coming)
+        if not soon.any():
             return None
-        cells, nearest = cells[empty], tracked[nearest[empty]]
-        empty = cKDTree(position).query(at[cells])[0] > far
-        empty[empty] = self._is_new(at[cells[empty]], nearest[empty], points)
-        if empty.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
+        cells, nearest = cells[soon], tracked[nearest[soon]]
+        new = cKDTree(position).query(at[cells])[0] > far
+        new[new] = self._is_new(at[cells[new]], nearest[new], points)
+        if new.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
             return None
         nearest = tracked[tree.query(at)[1]]
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
