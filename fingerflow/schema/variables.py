@@ -42,7 +42,7 @@ _MEDIAN_STD_EQUATION = (
     "computed from, Δ_gauge the change by twice the gauge length, since onset a fifth of it, RMS over the elements, "
     "Δ_border the change by an ellipse 0.035 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
     "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
-    "of fields √E/2 points below and above, E points moved in, common on presses 0.64, "
+    "of fields √E points below and above, E points moved in, common on presses 0.64, "
     "0.21, 0.23, 0.23 and 0.11 µm/mm of divergence, curl, e_xx, e_yy and e_xy, as skin that touches looks different"
 )
 _AREA_STD_EQUATION = (

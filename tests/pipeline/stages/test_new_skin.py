@@ -77,7 +77,7 @@ def test_skin_that_enters_within_a_batch_is_known(tmp_path: Path, frames: int, t
 
 
 def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:
-    """The median divergence is within two stated deviations in four of five frames, and within four in all.
+    """The median divergence is within two stated deviations in 85 % of the frames, and within four in all.
 
     A tenth of the contact has no fields. In the last frames half of the skin is new, and the median lies where fields
     are few: the error is 7 um/mm or more, and 0.9 um/mm if the truth leaves out that tenth.
@@ -85,5 +85,5 @@ def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:
     gradients = [TRUTH.entry_gradient(skin_in_contact(ROLLING, k, 0.15), k) for k in range(3, LAST + 1)]
     true = [np.nanmedian(one.trace(axis1=1, axis2=2)) for one in gradients]
     z = (result["median_divergence"].values[3:] - true) / result["median_divergence_std"].values[3:]
-    assert np.nanmean(np.abs(z) < 2) > 0.8
+    assert np.nanmean(np.abs(z) < 2) > 0.85
     assert np.nanmax(np.abs(z)) < 4
