@@ -332,11 +332,13 @@ class DeformationStage(Stage):
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
         usable = np.flatnonzero(self.usable[indices])  # an unusable frame does not end a touch
-        unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
-        touching = Touching(np.full_like(position, np.nan), *unknown, *none)
-        if len(usable):
+        if len(usable) == len(indices):
+            touching = touch.add_frames(indices, covered, position, variance, border)
+        else:
+            unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
+            touching = Touching(np.full_like(position, np.nan), *unknown, *none)
             part = indices[usable], covered[usable], position[usable], variance[usable], border.select(usable)
-            for whole, values in zip(touching, touch.add_frames(*part), strict=True):
+            for whole, values in zip(touching, touch.add_frames(*part) if len(usable) else (), strict=False):
                 whole[usable] = values
         if not self.by_onsets:
             reference = np.where(touching.touching[..., None], self._fixed, np.nan)
