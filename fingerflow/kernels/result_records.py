@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,11 +65,6 @@ class FrameEllipse(NamedTuple):
     center: Values
     semi_axes: Values
     angle: Values
-
-    @classmethod
-    def from_series(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
-        """Create the border ellipses from results named `ellipse_center`, `ellipse_semi_axes` and `ellipse_angle`."""
-        return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
     def select(self, frames: slice | NDArray[np.intp]) -> FrameEllipse:
         """Return the border ellipses of the given frames, a slice or indices."""

@@ -178,9 +178,7 @@ def _without_passing_touch(recorded: xr.Dataset) -> Array:
     """Return for each frame (F,) whether every point in contact has its final reference position."""
     position, covered = recorded["position"].values, recorded["in_contact"].values
     touches = Touches(recorded.sizes["point"])
-    border = FrameEllipse.from_series(
-        {name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")}
-    )
+    border = FrameEllipse(*(recorded[f"ellipse_{name}"].values for name in FrameEllipse._fields))
     seen = touches.add_frames(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32), border)
     elsewhere = (seen.position != recorded["reference_position"].values).any(-1)
     result: Array = ~(seen.touching & elsewhere).any(1)
