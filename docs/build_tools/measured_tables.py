@@ -23,7 +23,7 @@ def deviations(rows: Rows) -> list[list[str]]:
 
 def live(rows: Rows) -> list[list[str]]:
     """Return rates and latencies of the player, by recipe and engine."""
-    table = [["recipe, engine", "frames/s as fast as it goes", "at a camera's rate: latency"]]
+    table = [["recipe, engine", "frames/s as fast as it goes", "processor time over OpenCV's", "at a camera's rate"]]
     for recipe, engine in dict.fromkeys((row["recipe"], row["engine"]) for row in rows):
         some = [row for row in rows if (row["recipe"], row["engine"]) == (recipe, engine)]
         free = next(row for row in some if row["asked_hz"] is None)
@@ -31,7 +31,8 @@ def live(rows: Rows) -> list[list[str]]:
         rate = f"{free['slowest_hz']:.0f} to {free['fastest_hz']:.0f}"
         lost = f"{paced['dropped']} dropped" if paced["dropped"] else "none dropped"
         late = ", ".join(f"{paced[f'{of}_ms']:.3g}" for of in ("median", "p99", "worst"))
-        table.append([f"{recipe}, {engine}", rate, f"{paced['asked_hz']}/s: {lost}; {late} ms"])
+        ratio = f"{free['cpu_to_opencv']:.2f}"
+        table.append([f"{recipe}, {engine}", rate, ratio, f"{paced['asked_hz']}/s: {lost}; {late} ms"])
     return table
 
 

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 import sys
 import threading
 import time
@@ -15,7 +14,6 @@ import numpy as np
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.kernels import kernel
 from fingerflow.player.camera_clock import EPOCH, CameraClock
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, Slot
@@ -260,11 +258,6 @@ class Player:
         `step` stops the stream.
         """
         try:
-            cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_setaffinity") else []
-            if kernel.threads() == 1 and len(cores) > 1:
-                # Threads that hand the interpreter's lock to one another are faster if tracking stays on a core of its
-                # own: by 5 to 11 % on two cores.
-                os.sched_setaffinity(0, cores[:1] if step == self._compute else cores[1:])
             step()
         except BaseException as error:
             if self._failure is None:

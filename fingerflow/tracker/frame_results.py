@@ -86,7 +86,7 @@ class FrameResults:
         """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
         their tracked points `points` and the seeding to which these points belong.
 
-        They do not depend on how many frames are computed at once.
+        They do not depend on how many frames are computed at once, but for rounding of float32.
         """
         covered = covers(contact.density_margin, points.estimate, self._to_contact, self._engine.cell_px)
         if seeding is not self._seeding:

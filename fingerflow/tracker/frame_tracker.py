@@ -62,7 +62,7 @@ _REKEY_SHARE = 0.8
 _LEARNT_AFTER = 2
 _LOOK_EVERY = 2  # frames between two counts of the points in contact
 _LARGER = 1.05  # least ratio of contact areas at which the image of the larger contact is kept
-_LEAST_MM2 = 1.0  # mm², least area of a contact whose points are counted
+_LEAST_MM2 = 1.0  # mm², least area of a contact whose points are counted, and whose rim is judged
 # Spacings of points in gauge lengths. The first is the largest with which fits have neighbours up to the border: in a
 # stream of the fast recipe, medians are unknown in 24 % of the frames with 1/3 and in 0.5 % with 0.3. The second is
 # that of newly seeded points.
@@ -303,7 +303,7 @@ class StreamTracker:
         name.
 
         Frames are given in order, from any thread: tracking does not depend on the results. Several at once take less
-        time, and have the same results.
+        time, and have the same results to rounding of float32.
         """
         seeding, tracked = outcomes[0].seeding, [outcome.points for outcome in outcomes if outcome.points is not None]
         assert seeding is not None
@@ -330,14 +330,16 @@ class StreamTracker:
         return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
 
     def check_faint_rim(self) -> Iterator[str]:
-        """Return a warning if the largest contact so far is faint at its rim. Safe in any thread."""
+        """Return a warning if the largest contact so far is faint at its rim; none of one that has just begun, which
+        shows too few ridges. Safe in any thread.
+        """
         if self._largest is None:
             return iter(())
         image, contact = self._largest
         whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
         gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
-        radius = self._engine.settings.gross_radius_px
-        return check_faint_rim(pale_rim_mm(gross, lower), gross, contact.threshold[0], radius, 0.0)
+        rim = pale_rim_mm(gross, lower) if gross >= _LEAST_MM2 else 0.0
+        return check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
