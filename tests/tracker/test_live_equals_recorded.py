@@ -1,6 +1,7 @@
 """Tests that recordings and streams follow the same rules: their numbers are equal."""
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameContact, FrameEllipse, FrameFields, TrackedPoints
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.tracker.frame_results import RESULTS, FrameResults, Seeding
-from fingerflow.tracker.frame_tracker import PAGE, joined
+from fingerflow.tracker.frame_tracker import PAGE, FrameOutcome, StreamTracker, joined
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
 from fingerflow.tracker.reseeding import ReseedingSchedule
@@ -172,6 +173,23 @@ def test_results_do_not_depend_on_the_number_of_frames_at_once(
     assert set(sizes) == {1}
     for name in RESULTS:
         np.testing.assert_array_equal(graphs[name], single[name], err_msg=name)
+
+
+def test_a_contact_that_has_just_begun_is_not_named_faint(
+    played: dict[str, Trial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 0.3 to 0.7 mm2 the rim of a clean press would be 0.14 to 0.27 mm wide."""
+    compute, warnings = StreamTracker.compute_results, list[str]()
+
+    def compute_and_check(tracker: StreamTracker, outcomes: Sequence[FrameOutcome]) -> dict[str, Array]:
+        results = compute(tracker, outcomes)
+        warnings.extend(tracker.check_faint_rim())
+        return results
+
+    monkeypatch.setattr(StreamTracker, "compute_results", compute_and_check)
+    monkeypatch.setattr("fingerflow.player.stream_player._AT_ONCE", 1)
+    played["press"].play()
+    assert not warnings
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:
