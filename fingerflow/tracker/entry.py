@@ -134,7 +134,7 @@ def variance_of_late(late: Array) -> Array:
     return result
 
 
-def together(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
+def join_entered(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
     """Return the entered points of n frames, given those of each, None where no point has entered."""
     known = [frame for frame in frames if frame is not None]
     if not known:

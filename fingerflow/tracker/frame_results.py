@@ -17,7 +17,7 @@ from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.medians import strain_deviations
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
-from fingerflow.tracker.entry import Entries, together, variance_of_late
+from fingerflow.tracker.entry import Entries, join_entered, variance_of_late
 from fingerflow.tracker.onset import LASTING, Touches, interpolate_displacement
 from fingerflow.tracker.sizes_on_glass import Sizes, SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
@@ -190,7 +190,7 @@ class FrameResults:
         moved[:, np.isnan(self._inherited)] = np.nan
         # No point touches twice in these frames (`_batch`).
         reference, curvature = np.fmax.reduce(touch.position), skin.curvature * px2
-        return Displacement(reference, moved, noise, curvature, onset, self._gain, together(entered), late)
+        return Displacement(reference, moved, noise, curvature, onset, self._gain, join_entered(entered), late)
 
 
 def _select(record: Record, frames: slice) -> Record:

@@ -179,7 +179,7 @@ class _Sparse(NamedTuple):
     wide: Array
 
 
-def joined(records: Sequence[Record]) -> Record:
+def join_frames(records: Sequence[Record]) -> Record:
     """Return the records of consecutive frames as one."""
     if len(records) == 1:
         return records[0]
@@ -309,8 +309,8 @@ class StreamTracker:
         assert seeding is not None
         contacts = [self._contact(outcome) for outcome in outcomes]
         # The results do not use the mask, the largest part of a contact.
-        contact = joined([each._replace(real_contact_mask=None) for each in contacts])
-        results = self._results.compute(seeding, contact, joined(tracked))
+        contact = join_frames([each._replace(real_contact_mask=None) for each in contacts])
+        results = self._results.compute(seeding, contact, join_frames(tracked))
         for outcome, contact in zip(outcomes, contacts, strict=True):
             if contact.gross_area_px[0] > _LARGER * (self._largest[1].gross_area_px[0] if self._largest else 0):
                 self._largest = outcome.images[CONTACT_VIEW].copy(), contact

@@ -16,7 +16,7 @@ from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameContact, FrameEllipse, FrameFields, TrackedPoints
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.tracker.frame_results import RESULTS, FrameResults, Seeding
-from fingerflow.tracker.frame_tracker import PAGE, FrameOutcome, StreamTracker, joined
+from fingerflow.tracker.frame_tracker import PAGE, FrameOutcome, StreamTracker, join_frames
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
 from fingerflow.tracker.reseeding import ReseedingSchedule
@@ -150,7 +150,7 @@ def test_results_do_not_depend_on_the_number_of_frames_at_once(
     def computed(at_once: int) -> dict[str, Array]:
         again = FrameResults(results._engine, results._geometry)
         parts = [zip(*frames[first : first + at_once], strict=True) for first in range(0, len(frames), at_once)]
-        values = [again.compute(seeding, joined(contact), joined(points)) for contact, points in parts]
+        values = [again.compute(seeding, join_frames(contact), join_frames(points)) for contact, points in parts]
         return {name: np.concatenate([part[name] for part in values]) for name in RESULTS}
 
     single = computed(1)
