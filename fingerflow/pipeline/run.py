@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -72,22 +72,18 @@ def process(
     Raises:
         FingerflowError: for every error that the user can correct; the message names the file and the value.
     """
-    settings: dict[str, Any] = {"outputs": outputs, "device": device, "progress": progress, "engine": engine}
-    settings["earlier"] = earlier
-    if to is None:
-        return _compute(_loaded(scene), None, **settings)
-    process_to_file(Path(to), scene, overwrite, **settings)
-    return open_own(Path(to))
+    file = None if to is None else Path(to)
+    dataset = _compute(_loaded(scene), file, outputs, device, progress, engine, overwrite, earlier)
+    return dataset if file is None else open_own(file)
 
 
-def process_to_file(to: Path, scene: Scene | str | Path, overwrite: bool = False, **settings: Any) -> None:
-    """Compute a scene into the file `to` as `process` does, by the same `settings`, and leave the file closed: opening
+def process_to_file(
+    to: Path, scene: Scene | str | Path, overwrite: bool = False, earlier: str | Path | None = None
+) -> None:
+    """Compute the default outputs of a scene into the file `to`, as `process` does, and leave the file closed: opening
     it takes longer than a stage of a small recording.
     """
-    scene = _loaded(scene)
-    spare(to, *scene.files())
-    keep_others(to, is_result, overwrite)
-    _compute(scene, to, **settings)
+    _compute(_loaded(scene), to, overwrite=overwrite, earlier=earlier)
 
 
 def _loaded(scene: Scene | str | Path) -> Scene:
@@ -96,9 +92,12 @@ def _loaded(scene: Scene | str | Path) -> Scene:
 
 def _compute(
     scene: Scene, to: Path | None, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False,
-    engine: str = "auto", earlier: str | Path | None = None,
+    engine: str = "auto", overwrite: bool = False, earlier: str | Path | None = None,
 ) -> xr.Dataset:  # fmt: skip
-    """Compute a scene into the file `to`, or into the data set that is returned, which is empty otherwise."""
+    """Compute a scene into the file `to`, and return an empty data set; without a file, return the results."""
+    if to is not None:
+        spare(to, *scene.files())
+        keep_others(to, is_result, overwrite)
     planned = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     inputs = open_inputs(scene, device, engine)
     # Products of matrices are small here: threads of BLAS would take longer, and wait for the next one at full load.
