@@ -447,22 +447,23 @@ class Player:
                 self._sink.event(item.name, item.frame, **item.facts)
                 log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
             else:
-                frames, results = [item], None
-                if item.points is not None:
-                    # Frames that wait are measured at once, which takes less time than one by one.
-                    while len(frames) < _AT_ONCE and (following := self._outcomes.get(wait=False)) is not None:
-                        if (
-                            isinstance(following, Event)
-                            or following.points is None
-                            or following.seeding is not item.seeding
-                        ):
-                            break
-                        frames.append(following)
-                        following = None
-                    results = self._tracker.compute_results(frames)
+                frames, following = self._frames_from(item)
+                results = None if item.points is None else self._tracker.compute_results(frames)
                 if not all(self._pass_record(frame, results, k) for k, frame in enumerate(frames)):
                     return
             item = following or self._outcomes.get()
+
+    def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
+        """Return a frame with those that wait behind it and can be measured at once with it, which takes less time than
+        one by one; and what follows them, None if that has not come yet.
+        """
+        frames = [first]
+        while len(frames) < _AT_ONCE and first.points is not None:
+            item = self._outcomes.get(wait=False)
+            if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not first.seeding:
+                return frames, item
+            frames.append(item)
+        return frames, None
 
     def _pass_record(self, outcome: FrameOutcome, results: Mapping[str, Array] | None, k: int) -> bool:
         """Offer the results of a frame, the k-th of `results` and None without any, to the outputs, and queue a record

@@ -17,6 +17,7 @@ from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
 from fingerflow.tracker.displacement_medians import displacement_medians
+from fingerflow.tracker.points import select_frames
 
 Array = NDArray[Any]
 
@@ -164,12 +165,9 @@ class Deformation:
         rows = evaluated.nonzero()[0]
         smoothing, course = self._of_smoothing, [self.latest]
         if len(rows):
-            part = fields._replace(
-                **{name: values[rows] for name, values in fields._asdict().items() if values is not None}
-            )
-            around = FrameEllipse(*(values[rows] for values in ellipse))
+            part, around = select_frames(fields, rows), ellipse.select(rows)
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
-            # Whether displacements count from onsets: whether they do of most points.
+            # True in frames in which the displacements of most points count from their onsets.
             known_points = np.isfinite(moved[rows, :, 0])
             counted = known_points & (np.broadcast_to(since.onset[..., 0, 0], noise.shape)[rows] > 0)
             since_onset = counted.sum(1, keepdims=True) > known_points.sum(1, keepdims=True) / 2

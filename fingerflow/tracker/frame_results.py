@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,11 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import Entries, join_entered, variance_of_late
 from fingerflow.tracker.onset import LASTING, Touches, interpolate_displacement
+from fingerflow.tracker.points import select_frames
 from fingerflow.tracker.sizes_on_glass import Sizes, SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
-Record = TypeVar("Record", FrameContact, TrackedPoints)
 
 #: Names of the results of a frame, which are variables of the data set.
 RESULTS = (
@@ -91,12 +91,17 @@ class FrameResults:
         covered = covers(contact.density_margin, points.estimate, self._to_contact, self._engine.cell_px)
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
-        if (first := self._batch(covered)) < len(covered):
-            parts = [
-                self.compute(seeding, _select(contact, frames), _select(points, frames))
-                for frames in (slice(first), slice(first, None))
-            ]
-            return {name: np.concatenate([part[name] for part in parts]) for name in RESULTS}
+        parts, first = list[dict[str, Array]](), 0
+        while first < len(covered):
+            frames = slice(first, first + self._batch(covered[first:]))
+            parts.append(self._at_once(select_frames(contact, frames), select_frames(points, frames), covered[frames]))
+            first = frames.stop
+        if len(parts) == 1:
+            return parts[0]
+        return {name: np.concatenate([part[name] for part in parts]) for name in RESULTS}
+
+    def _at_once(self, contact: FrameContact, points: TrackedPoints, covered: Array) -> dict[str, Array]:
+        """Compute the results of frames together, of points that the contact covers where `covered` (n, N) is True."""
         numbers = self._frames + 1 + np.arange(len(covered))
         variance = points.variance  # by image noise
         curvature, sizes = self._curvature.update(points.points), self.on_glass.sizes(contact)
@@ -191,8 +196,3 @@ class FrameResults:
         # No point touches twice in these frames (`_batch`).
         reference, curvature = np.fmax.reduce(touch.position), skin.curvature * px2
         return Displacement(reference, moved, noise, curvature, onset, self._gain, join_entered(entered), late)
-
-
-def _select(record: Record, frames: slice) -> Record:
-    """Return the record of arrays (n, ...) for some of its frames."""
-    return type(record)(*(None if values is None else values[frames] for values in record))

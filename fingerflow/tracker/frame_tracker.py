@@ -46,9 +46,9 @@ from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, Tra
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
-from fingerflow.tracker.frame_results import FrameResults, Record, Seeding
+from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import is_finite
-from fingerflow.tracker.points import STREAM, Points
+from fingerflow.tracker.points import STREAM, Points, join
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
 
@@ -179,14 +179,6 @@ class _Sparse(NamedTuple):
     wide: Array
 
 
-def join_frames(records: Sequence[Record]) -> Record:
-    """Return the records of consecutive frames as one."""
-    if len(records) == 1:
-        return records[0]
-    columns = zip(*records, strict=True)
-    return type(records[0])(*(None if values[0] is None else np.concatenate(values) for values in columns))
-
-
 class StreamTracker:
     """Tracker of a stream: state between frames, and the method `step` for each frame.
 
@@ -309,8 +301,8 @@ class StreamTracker:
         assert seeding is not None
         contacts = [self._contact(outcome) for outcome in outcomes]
         # The results do not use the mask, the largest part of a contact.
-        contact = join_frames([each._replace(real_contact_mask=None) for each in contacts])
-        results = self._results.compute(seeding, contact, join_frames(tracked))
+        contact = join([each._replace(real_contact_mask=None) for each in contacts])
+        results = self._results.compute(seeding, contact, join(tracked))
         for outcome, contact in zip(outcomes, contacts, strict=True):
             if contact.gross_area_px[0] > _LARGER * (self._largest[1].gross_area_px[0] if self._largest else 0):
                 self._largest = outcome.images[CONTACT_VIEW].copy(), contact
@@ -330,16 +322,15 @@ class StreamTracker:
         return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
 
     def check_faint_rim(self) -> Iterator[str]:
-        """Return a warning if the largest contact so far is faint at its rim; none of one that has just begun, which
+        """Yield a warning if the largest contact so far is faint at its rim; none of one that has just begun, which
         shows too few ridges. Safe in any thread.
         """
-        if self._largest is None:
-            return iter(())
-        image, contact = self._largest
-        whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
-        gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
-        rim = pale_rim_mm(gross, lower) if gross >= _LEAST_MM2 else 0.0
-        return check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
+        if self._largest is not None:
+            image, contact = self._largest
+            whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
+            gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
+            rim = pale_rim_mm(gross, lower) if gross >= _LEAST_MM2 else 0.0
+            yield from check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
@@ -518,9 +509,9 @@ class StreamTracker:
         height, width = self._settings.region.shape
         rows, columns = np.ogrid[:height, :width]
         cosine, sine = math.cos(sparse.angle), math.sin(sparse.angle)
-        to_axes = np.array([[cosine, sine], [-sine, cosine]]) @ (
-            self._to_contact - np.pad(sparse.center[:, None], ((0, 0), (2, 0)))
-        )
+        about_center = self._to_contact.copy()
+        about_center[:, 2] -= sparse.center
+        to_axes = np.array([[cosine, sine], [-sine, cosine]]) @ about_center
         along, across = (
             (by_x * columns).astype(np.float32) + (by_y * rows + shift).astype(np.float32)
             for by_x, by_y, shift in to_axes

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from fingerflow.engines.engine import (
     Corrected,
     Engine,
     Followed,
+    FrameContact,
+    FrameFields,
     Images,
     TemplateBuffers,
     TrackedPoints,
@@ -31,6 +34,7 @@ from fingerflow.tracker.recovery import Search, Track, lost_points, recover, rep
 from fingerflow.tracker.subset_verification import Verification
 
 Array = NDArray[Any]
+Record = TypeVar("Record", FrameContact, FrameFields, TrackedPoints)
 
 _UNCERTAIN, _WINDOW_DIFFERS, _DUST_IN_WINDOW = (
     int(status) for status in (TrackStatus.UNCERTAIN, TrackStatus.WINDOW_DIFFERS, TrackStatus.DUST_IN_WINDOW)
@@ -432,13 +436,19 @@ class Points:
         return walked + 0 * variance
 
 
-def join(parts: list[TrackedPoints], axis: int) -> TrackedPoints:
-    """Join the tracking results of successive frames (`axis` 0), or of groups of points in the same frames (1)."""
-    return (
-        parts[0]
-        if len(parts) == 1
-        else TrackedPoints(*(np.concatenate(part, axis) for part in zip(*parts, strict=True)))
-    )
+def select_frames(record: Record, frames: Any) -> Record:
+    """Return a record of arrays (n, ...) for some of its frames, a slice or indices."""
+    return type(record)(*(None if values is None else values[frames] for values in record))
+
+
+def join(records: Sequence[Record], axis: int = 0) -> Record:
+    """Join the contacts or tracking results of successive frames (`axis` 0), or the tracking results of groups of
+    points in the same frames (1).
+    """
+    if len(records) == 1:
+        return records[0]
+    columns = zip(*records, strict=True)
+    return type(records[0])(*(None if values[0] is None else np.concatenate(values, axis) for values in columns))
 
 
 def _last_seen(points: Array, before: Array) -> Array:

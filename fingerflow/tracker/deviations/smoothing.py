@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import FrameFields
+from fingerflow.kernels.arrays import squared_distances
 
 Array = NDArray[Any]
 
@@ -83,15 +84,14 @@ class _Neighbours(NamedTuple):
     @classmethod
     def within(cls, gauge_mm: float, positions: Array) -> _Neighbours:
         """Find the neighbours of points at `positions` (N, 2); points at NaN have no weight."""
-        x, y = positions.T.astype(np.float32)
-        distance = np.square(x[:, None] - x)
-        distance += np.square(y[:, None] - y)
+        positions = positions.astype(np.float32)
+        distance = squared_distances(positions, positions)
         reach = np.float32(gauge_mm / 2) ** 2
         near = distance < reach  # False for NaN
         np.fill_diagonal(near, True)
         point, number = near.nonzero()
         weight = np.square(np.fmax(1 - distance[point, number] / reach, 0))  # 0 for NaN
-        return cls(number, weight, np.searchsorted(point, np.arange(len(x))))
+        return cls(number, weight, np.searchsorted(point, np.arange(len(positions))))
 
     def sums(self, *values: Array) -> NDArray[np.float64]:
         """Return the weighted sums over the neighbours of several arrays of values (..., N), stacked.
