@@ -169,8 +169,8 @@ def test_contact_areas_and_axes(result: xr.Dataset, truth: Truth) -> None:
 
 
 def test_stated_uncertainty_of_displacements_and_fields(result: xr.Dataset, truth: Truth) -> None:
-    """The errors of displacements and fields are as large as stated, between 0.65 and 1.4 times. Errors are those
-    against the same estimators on true displacements at the same positions, so that smoothing is no part of them.
+    """Errors of displacements and fields are 0.65 to 1.4 times their stated deviations. They are differences from the
+    same estimators on true displacements at the same positions, so that they do not hold smoothing.
 
     Divergence is stated a third too large, as what is stated holds smoothing. Strain is stated a fourth too large: slim
     triangles are slim partly because of their errors.

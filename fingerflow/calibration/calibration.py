@@ -37,8 +37,8 @@ class Calibration:
 
     @property
     def mm_per_px_std(self) -> float:
-        """Return the standard deviation, mm per px, of the scale by the error of the fitted radius of the hole in px;
-        `hole_radius_mm` counts as exact.
+        """Return the standard deviation of the scale, mm per px, that the error of the hole's fitted radius in px
+        causes; `hole_radius_mm` counts as exact.
         """
         return self.mm_per_px * self.hole.radius_sigma_px / self.hole.radius_px
 

@@ -135,7 +135,7 @@ def variance_of_late(late: Array) -> Array:
 
 
 def join_entered(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
-    """Return the entered points of n frames, given those of each, None where no point has entered."""
+    """Join the entered points of single frames, None without any, to those of n frames; None if all are None."""
     known = [frame for frame in frames if frame is not None]
     if not known:
         return None

@@ -24,7 +24,7 @@ def pale_rim_mm(gross: float, lower: float) -> float:
 
 
 def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> Iterator[str]:
-    """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
+    """Yield a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
     mm^2 is its area without that rim, which has gaps where `radius_px` is below half the distance between ridges,
     `period_px`; 0 if that is not known.
     """

@@ -95,8 +95,8 @@ def onset_errors(
 
 def displacement_covariance(variance: Array, of_onset: Array, shape: Array = _ALIKE) -> NDArray[np.float32]:
     """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N), the mean over directions, times the
-    `shape` (N, 2, 2) of its ellipse, and the covariance `of_onset` (N, 2, 2) or (n, N, 2, 2) by the
-    error of the time of onset.
+    `shape` (N, 2, 2) of its ellipse, and the covariance `of_onset` (N, 2, 2) or (n, N, 2, 2) by the error of the time
+    of onset.
     """
     result: NDArray[np.float32] = variance[..., None, None] * shape
     result += of_onset.astype(np.float32)

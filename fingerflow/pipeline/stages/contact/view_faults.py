@@ -36,7 +36,7 @@ _UNEVEN = 0.05  # least relative change of light that is reported
 
 
 def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> Iterator[str]:
-    """Return a warning if the contact region reaches glass without light, where its border is not that of the skin."""
+    """Yield a warning if the contact region reaches glass without light, where its border is not that of the skin."""
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
     unlit = float((light[around] <= 0).mean()) if around.any() else 0.0
     if unlit > _UNLIT_BORDER:
@@ -47,7 +47,7 @@ def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> Iterator[
 
 
 def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterator[str]:
-    """Return a warning if the region detected as contact is far longer than wide in some frame, as it is where a cable
+    """Yield a warning if the region detected as contact is far longer than wide in some frame, as it is where a cable
     lies in the view.
 
     `semi_axes` (frames, 2) mm of the fitted ellipse, major first, and gross area `gross` (frames,) mm^2 are NaN in
@@ -78,7 +78,7 @@ def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
 
 
 def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_mm2: float, frame: int) -> Iterator[str]:
-    """Return a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
+    """Yield a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
     knuckle.
 
     `outside` is the real contact mask outside that region. Ridges are merged over `radius_px`; the largest part counts.
@@ -102,7 +102,7 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
 
 
 def check_sweat(touching: Mask, period_px: float) -> Iterator[str]:
-    """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
+    """Yield a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
     between the ridges: the share covered by discs 1.1 ridge periods in diameter which lie within the mask (a
     morphological opening).
 
@@ -118,7 +118,7 @@ def check_sweat(touching: Mask, period_px: float) -> Iterator[str]:
 
 
 def check_shadow(share: Picture, away: Picture, period_px: float) -> Iterator[str]:
-    """Return a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
+    """Yield a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
     shadow of the finger.
 
     `share` (h, w) is the intensity relative to that of the empty glass, corrected for the illumination gain; `away`
@@ -144,7 +144,7 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
 
 
 def check_sparse_ridges(border_mm: float, share: float) -> Iterator[str]:
-    """Return a warning if ridges cover so small a `share` of the contact that its border is uncertain by
+    """Yield a warning if ridges cover so small a `share` of the contact that its border is uncertain by
     `border_mm`.
     """
     if border_mm >= RIM_MM:
@@ -155,7 +155,7 @@ def check_sparse_ridges(border_mm: float, share: float) -> Iterator[str]:
 
 
 def check_background_lines(light: Picture) -> Iterator[str]:
-    """Return a warning if rows of the background image `light` differ in brightness from the rows beside them, as in a
+    """Yield a warning if rows of the background image `light` differ in brightness from the rows beside them, as in a
     torn picture.
     """
     full = _full_light(light)
@@ -177,7 +177,7 @@ def check_background_lines(light: Picture) -> Iterator[str]:
 
 
 def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, away: Picture) -> Iterator[str]:
-    """Return a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
+    """Yield a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
     bump that moved camera or glass.
 
     `frames` are numbered and without the dark level; the first with such a shift is reported. Edges within the contact
@@ -203,8 +203,8 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     or moved glass; "" if nothing is found.
     """
     moved = check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf))
-    for known_cause in (*check_background_lines(light), *moved):
-        return known_cause
+    if causes := [*check_background_lines(light)] or [*moved]:
+        return causes[0]
     share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
     rows, columns = (side // _SIDE for side in share.shape)
     cut = share[: rows * _SIDE, : columns * _SIDE].reshape(rows, _SIDE, columns, _SIDE)

@@ -45,7 +45,7 @@ Series = NDArray[np.float64]
 
 
 def check_scale(mm_per_px: float, shape: tuple[int, int]) -> Iterator[str]:
-    """Return a warning if the image scale makes a contact view of (rows, columns) px implausibly wide."""
+    """Yield a warning if the image scale makes a contact view of (rows, columns) px implausibly wide."""
     wide = mm_per_px * shape[1]
     if not _NARROWEST_MM <= wide <= _WIDEST_MM:
         yield (
@@ -55,7 +55,7 @@ def check_scale(mm_per_px: float, shape: tuple[int, int]) -> Iterator[str]:
 
 
 def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
-    """Return a warning if the ridge period (px) at the calibrated image scale is not that of a finger; none for NaN."""
+    """Yield a warning if the ridge period (px) at the calibrated image scale is not that of a finger; none for NaN."""
     period, (least, most) = period_px * mm_per_px, _RIDGE_MM
     if np.isfinite(period) and not least <= period <= most:
         yield (
@@ -66,7 +66,7 @@ def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
 
 
 def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[str]:
-    """Return a warning if the topography view shows the ridges of the contact view only when turned over by
+    """Yield a warning if the topography view shows the ridges of the contact view only when turned over by
     `mirroring`, or if the calibration maps them `offset_px` px beside these; both are of `ridges.compare_views`.
     """
     if mirroring:
@@ -84,7 +84,7 @@ def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[
 
 
 def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
-    """Return a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
+    """Yield a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
     level = int(counts.max())
     share = float((counts == level).mean())
     if share > _CLIPPED and level >= 255 and not level & (level + 1):
@@ -95,7 +95,7 @@ def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
 
 
 def check_contrast(brighter: float, darker: float, appears: str, moment: str) -> Iterator[str]:
-    """Return a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
+    """Yield a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
     other way round.
 
     `brighter` and `darker` are shares of that frame's pixels beside the empty glass, after the negative of bright
@@ -105,14 +105,13 @@ def check_contrast(brighter: float, darker: float, appears: str, moment: str) ->
         opposite, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
         yield (
             f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} "
-            f"changed as "
-            f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
-            f'contact.appears = "{opposite}" if the finger is there'
+            f'changed as contact does, with contact.appears = "{appears}": check [views.contact] and '
+            f'background.frames, or set contact.appears = "{opposite}" if the finger is there'
         )
 
 
 def check_exposure(brighter: float, darker: float, frame: int) -> Iterator[str]:
-    """Return a warning if most pixels of the first usable frame are brighter, or darker, than the empty glass."""
+    """Yield a warning if most pixels of the first usable frame are brighter, or darker, than the empty glass."""
     if max(brighter, darker) > _ALL_CHANGED:
         share, change = max((brighter, "brighter"), (darker, "darker"))
         yield (
@@ -124,7 +123,7 @@ def check_exposure(brighter: float, darker: float, frame: int) -> Iterator[str]:
 
 
 def check_background(brighter: float, frame: int) -> Iterator[str]:
-    """Return a warning if a large share `brighter` of the pixels in a frame is brighter than without a finger."""
+    """Yield a warning if a large share `brighter` of the pixels in a frame is brighter than without a finger."""
     if brighter > _BRIGHTER_SHARE:
         yield (
             f"background.frames is darker than frame {frame} in {brighter:.1%} of the contact view, as if a finger or "
@@ -133,7 +132,7 @@ def check_background(brighter: float, frame: int) -> Iterator[str]:
 
 
 def check_young_modulus(modulus_mpa: float) -> Iterator[str]:
-    """Return a warning if a Young's modulus is implausible for skin."""
+    """Yield a warning if a Young's modulus is implausible for skin."""
     least, most = _YOUNG_MPA
     if not least <= modulus_mpa <= most:
         yield (
@@ -143,7 +142,7 @@ def check_young_modulus(modulus_mpa: float) -> Iterator[str]:
 
 
 def check_force(normal: Series) -> Iterator[str]:
-    """Return a warning if a normal force (frames,) N exceeds what a finger can exert."""
+    """Yield a warning if a normal force (frames,) N exceeds what a finger can exert."""
     peak = float(np.nanmax(normal, initial=0.0))
     if peak > _MOST_FORCE:
         yield (
@@ -153,7 +152,7 @@ def check_force(normal: Series) -> Iterator[str]:
 
 
 def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
-    """Return a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
+    """Yield a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
     touching = np.isfinite(normal) & (gross > 0)
     if not touching.any():
         return
@@ -169,7 +168,7 @@ def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
 
 
 def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str]:
-    """Return a warning if contact (gross areas in mm^2) and normal force (N) do not begin in the same frame.
+    """Yield a warning if contact (gross areas in mm^2) and normal force (N) do not begin in the same frame.
 
     Force without contact counts everywhere; contact without force only until the force is largest, as skin that lets go
     adheres. The area that needs no measurable force follows from A ~ F^(1/3).
@@ -205,7 +204,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
 
 
 def check_growth(normal: Series, gross: Series) -> Iterator[str]:
-    """Return a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
+    """Yield a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
     measured = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
     last = measured[-(len(measured) // 10) :]
     if len(last) < _BESIDE:
@@ -221,7 +220,7 @@ def check_growth(normal: Series, gross: Series) -> Iterator[str]:
 
 
 def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
-    """Return a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
+    """Yield a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
     measured = np.flatnonzero(np.isfinite(gross))
     if not len(measured):
         return
@@ -235,7 +234,7 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
 
 
 def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> Iterator[str]:
-    """Return a warning if the gross area (mm^2) jumps between two successive frames, as if frames were missing.
+    """Yield a warning if the gross area (mm^2) jumps between two successive frames, as if frames were missing.
 
     A step of the force (N) by as large a share is a real one.
     """
@@ -264,13 +263,13 @@ def check_missing_frames(gross: Series, normal: Series | None, first_frame: int)
 
 
 def check_frames(frames: int) -> Iterator[str]:
-    """Return a warning if a recording has only one selected frame."""
+    """Yield a warning if a recording has only one selected frame."""
     if frames <= 1:
         yield "one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"
 
 
 def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> Iterator[str]:
-    """Return warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
+    """Yield warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
 
     `view_area` is the area of the view, mm^2. Of a contact that has less than a few ridges, the deviation of the gross
     area says so.
@@ -296,7 +295,7 @@ def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, f
 
 
 def check_points(seeded: int, requested: int, min_distance_px: float, region_px: int) -> Iterator[str]:
-    """Return a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
+    """Yield a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
     if seeded >= _FEW_FOUND * requested:
         return
     # Upper bound of the number of points: one for each square of side `min_distance_px`.
@@ -315,7 +314,7 @@ def check_points(seeded: int, requested: int, min_distance_px: float, region_px:
 
 
 def check_seeded_region(outside: float) -> Iterator[str]:
-    """Return a warning if a share `outside` of the contact lies far from the region in which points are seeded."""
+    """Yield a warning if a share `outside` of the contact lies far from the region in which points are seeded."""
     if outside > _UNSEEDED:
         yield (
             f"{outside:.0%} of the contact lies outside the region in which points are seeded: medians and energy are "
@@ -325,9 +324,10 @@ def check_seeded_region(outside: float) -> Iterator[str]:
 
 
 def check_tracking(tracked: Series, differs: Series, held: Series, first_frame: int) -> Iterator[str]:
-    """Return warnings by the shares (frames,) of the points, NaN without points: `tracked` if it is low in some frames,
-    `differs` of those whose windows no longer resemble the windows in the frame in which they were seeded, and `held`
-    of those that something which rests on the glass, such as dust, holds back.
+    """Yield warnings if few points are tracked, if windows of points no longer resemble those in the frame in which
+    these were seeded, and if something that rests on the glass, such as dust, holds points back.
+
+    `tracked`, `differs` and `held` (frames,) are the shares of these points, NaN without points.
     """
     few, differ, dust = (np.flatnonzero(mask) for mask in (tracked < _FEW_TRACKED, differs > 0, held > 0))
     if len(few):
@@ -350,7 +350,7 @@ def check_tracking(tracked: Series, differs: Series, held: Series, first_frame: 
 
 
 def check_impulses(share: float) -> Iterator[str]:
-    """Return a warning if a large fraction `share` of the pixels of the topography view differs from all pixels around
+    """Yield a warning if a large fraction `share` of the pixels of the topography view differs from all pixels around
     (salt-and-pepper noise).
     """
     if share > _IMPULSES:
@@ -362,7 +362,7 @@ def check_impulses(share: float) -> Iterator[str]:
 
 
 def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: float, first_frame: int) -> Iterator[str]:
-    """Return a warning if the median of a deformation field over the contact is NaN in frames whose contact is more
+    """Yield a warning if the median of a deformation field over the contact is NaN in frames whose contact is more
     than two gauge lengths wide.
 
     `median` and `coverage` (frames,) are a median over the contact, and the share of the contact in which fields are
@@ -383,7 +383,7 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
 def check_energy(
     energy: Series, gross: Series, misfit: NDArray[np.bool_], gauge_mm: float, first_frame: int
 ) -> Iterator[str]:
-    """Return warnings if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide, or no
+    """Yield warnings if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide, or no
     smooth field explains the displacements there (`misfit`).
     """
     wide = gross > np.pi * gauge_mm**2
@@ -403,7 +403,7 @@ def check_energy(
 
 
 def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> Iterator[str]:
-    """Return warnings if the gauge length is too short for the point spacing or large beside the width of the contact.
+    """Yield warnings if the gauge length is too short for the point spacing or large beside the width of the contact.
 
     `points` (N, 2) mm are positions at first contact, NaN for points never in contact; `contact_mm` is the least
     diameter of the largest contact.

@@ -204,7 +204,7 @@ class FlowResponse:
         self._distances, self._blur = distances[measured] * mm_per_px, blur * mm_per_px
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the displacement, mm, that the flow measures at signed distances in mm beyond the slip border.
+        """Return the displacement, mm, that dense flow measures at a signed `distance`, mm, outside the stick border.
 
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
