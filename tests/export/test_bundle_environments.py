@@ -136,8 +136,10 @@ def test_a_wrapper_of_ten_lines_is_a_camera(lab: LabPC, tmp_path: Path) -> None:
         played.append(player.read_results(output).records)
     recorded, records = played
     assert len(records) == small_trials.FRAMES
-    for name in ("real_contact_area", "gross_contact_area", "position_px", "divergence", "frame_status"):
+    for name in ("real_contact_area", "gross_contact_area", "position_px", "frame_status"):
         np.testing.assert_array_equal(records[name], recorded[name], err_msg=name)
+    # Fields are rounded by float32 as frames are measured at once, which depends on how many wait.
+    np.testing.assert_allclose(records["divergence"], recorded["divergence"], rtol=2e-5, atol=1e-6)
     np.testing.assert_allclose(records["time"], np.arange(small_trials.FRAMES) / 300, atol=1e-9)
 
 
