@@ -221,10 +221,3 @@ def reject_outliers(points: TrackedPoints, off_neighbours: Array, uncertain: Arr
     tracked = points.status == TRACKED
     certain = reject(points, tracked & uncertain, _UNCERTAIN)
     return reject(certain, tracked & off_neighbours, _OFF_NEIGHBOURS)
-
-
-def nothing_found(frames: int) -> TrackedPoints:
-    """Return the empty tracking result of `frames` frames without any points."""
-    none = np.zeros((frames, 0), np.float32)
-    place = np.zeros((frames, 0, 2), np.float32)
-    return TrackedPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

@@ -153,8 +153,7 @@ class Player:
             )
         ]
         self._started = time.perf_counter()
-        address = self.settings.page
-        page = None
+        address, page = self.settings.page, None
         try:
             page = serve_page(address, self.live, self._said_by_page, self._tracker.reseed) if address else None
             self._sink.open()
@@ -455,11 +454,12 @@ class Player:
 
     def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
         """Return a frame with those that wait behind it and can be measured at once with it, which takes less time than
-        one by one; and what follows them, None if that has not come yet.
+        one by one; and what follows them, None if that has not come yet. Where the source waits, so does the frame.
         """
         frames = [first]
         while len(frames) < _AT_ONCE and first.points is not None:
-            item = self._outcomes.get(wait=False)
+            self._tracker.contact(frames[-1])  # while others are tracked
+            item = self._outcomes.get(wait=self._can_wait)
             if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not first.seeding:
                 return frames, item
             frames.append(item)

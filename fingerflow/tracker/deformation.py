@@ -155,7 +155,7 @@ class Deformation:
         """
         moved, reference = since.displacement.astype(np.float32), since.reference.astype(np.float32)
         noise = since.variance + since.curvature
-        ellipse = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
+        ellipse = FrameEllipse(*[values.astype(np.float32) for values in ellipse])
         covariance = displacement_covariance(noise, since.onset) * since.gain[:, None, None]
         entered = since.entered
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)

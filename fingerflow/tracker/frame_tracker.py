@@ -299,7 +299,7 @@ class StreamTracker:
         """
         seeding, tracked = outcomes[0].seeding, [outcome.points for outcome in outcomes if outcome.points is not None]
         assert seeding is not None
-        contacts = [self._contact(outcome) for outcome in outcomes]
+        contacts = [self.contact(outcome) for outcome in outcomes]
         # The results do not use the mask, the largest part of a contact.
         contact = join([each._replace(real_contact_mask=None) for each in contacts])
         results = self._results.compute(seeding, contact, join(tracked))
@@ -449,7 +449,7 @@ class StreamTracker:
         self._unlearnt.append((self._index, work.frame.number, work))
         return work
 
-    def _contact(self, work: FrameOutcome) -> FrameContact:
+    def contact(self, work: FrameOutcome) -> FrameContact:
         """Return the contact (mask, areas, ellipse) of a frame, computed at the first call, in whichever thread that
         happens.
         """
@@ -464,7 +464,7 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            touching = self._results.on_glass.sizes(self._contact(outcome)).gross[0] >= _LEAST_MM2
+            touching = self._results.on_glass.sizes(self.contact(outcome)).gross[0] >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
@@ -474,7 +474,7 @@ class StreamTracker:
             if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact(outcome).real_area_px[0])
+        area = float(self.contact(outcome).real_area_px[0])
         if self._search.update(index, area, measured) and measured is not None:
             return [Event("threshold", number, {"threshold": measured})]
         return []
@@ -486,7 +486,7 @@ class StreamTracker:
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact = self._contact(work)
+        contact = self.contact(work)
         area = float(self._results.on_glass.sizes(contact).gross[0])
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]

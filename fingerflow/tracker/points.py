@@ -22,7 +22,6 @@ from fingerflow.engines.engine import (
     Images,
     TemplateBuffers,
     TrackedPoints,
-    nothing_found,
     reject,
     select,
 )
@@ -39,7 +38,6 @@ Record = TypeVar("Record", FrameContact, FrameFields, TrackedPoints)
 _UNCERTAIN, _WINDOW_DIFFERS, _DUST_IN_WINDOW = (
     int(status) for status in (TrackStatus.UNCERTAIN, TrackStatus.WINDOW_DIFFERS, TrackStatus.DUST_IN_WINDOW)
 )
-_NO_POINTS = nothing_found(1)
 _MOST_VARIANCE = 1.0  # px^2, of a position, above which it is not located
 MOST_FRAMES = 8  # longest update interval of templates, for slow skin
 FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
@@ -171,14 +169,13 @@ class Points:
 
         `around` (n, A) is the result of the surrounding points. Estimates are the last known positions.
         """
-        around = nothing_found(len(images)) if around is None else around
         steps: list[TrackedPoints] = []
         done, self._steps = 0, []
         while done < len(images):
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
             count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
             now = slice(done, done + count)
-            step = self._step(images[now], select(around, now))
+            step = self._step(images[now], around and select(around, now))
             steps.append(step if self._knowledge.ahead else self._verified(images[now], step))
             done += count
         joined = join(steps, 0)
@@ -196,8 +193,7 @@ class Points:
         """Return the variance (n, N) px^2 of the positions `tracked` (n, N) in the next n frames by displacement since
         the key frame that is curved within windows; `around` (n, A) is the result of the surrounding points.
         """
-        around = nothing_found(len(tracked.points)) if around is None else around
-        positions = np.concatenate((tracked.points, around.points), axis=1)
+        positions = tracked.points if around is None else np.concatenate((tracked.points, around.points), axis=1)
         return self._curvature.update(positions)[:, : len(self)]
 
     def _update_templates(self) -> None:
@@ -234,7 +230,7 @@ class Points:
             start = self.start[pending.rows[part]]
             pending.prepared.append(self._engine.prepare(self._templates, start, pending.warp[part]))
 
-    def _step(self, images: Images, around: TrackedPoints) -> TrackedPoints:
+    def _step(self, images: Images, around: TrackedPoints | None) -> TrackedPoints:
         self._update_templates()
         guess = self.expect()
         if len(images) == 1:
@@ -252,7 +248,7 @@ class Points:
         guess = guess.astype(np.float32, copy=False)
         return self._engine.track(self._templates, image, guess, np.zeros_like(guess), rows).found
 
-    def _finish_images(self, images: Images, followed: Followed, around: TrackedPoints) -> TrackedPoints:
+    def _finish_images(self, images: Images, followed: Followed, around: TrackedPoints | None) -> TrackedPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
         skin, update the motion, and return the tracked points.
         """
@@ -316,9 +312,9 @@ class Points:
 
     def _predict_from_neighbours(self, tracked: TrackedPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
-        return self._corrected(tracked, _NO_POINTS).expected[0]
+        return self._corrected(tracked).expected[0]
 
-    def _corrected(self, tracked: TrackedPoints, around: TrackedPoints) -> Corrected:
+    def _corrected(self, tracked: TrackedPoints, around: TrackedPoints | None = None) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
 
         With template "previous" the points are returned unchanged.
@@ -327,8 +323,8 @@ class Points:
             unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*tracked.status.shape, 2, 2))
             nothing = np.zeros(tracked.status.shape, np.float32)
             return Corrected(tracked, unchanged, nothing, np.full_like(tracked.points, np.nan))
-        extra = around.status.shape[1]
-        together = join([tracked, around], 1) if extra else tracked
+        extra = 0 if around is None else around.status.shape[1]
+        together = tracked if around is None else join([tracked, around], 1)
         corrected = self._engine.correct(self._every, together, *self._template_data(extra))
         if extra:
             seeded = slice(len(self))
@@ -438,7 +434,7 @@ class Points:
 
 def select_frames(record: Record, frames: Any) -> Record:
     """Return a record of arrays (n, ...) for some of its frames, a slice or indices."""
-    return type(record)(*(None if values is None else values[frames] for values in record))
+    return type(record)(*[None if values is None else values[frames] for values in record])
 
 
 def join(records: Sequence[Record], axis: int = 0) -> Record:
@@ -448,7 +444,7 @@ def join(records: Sequence[Record], axis: int = 0) -> Record:
     if len(records) == 1:
         return records[0]
     columns = zip(*records, strict=True)
-    return type(records[0])(*(None if values[0] is None else np.concatenate(values, axis) for values in columns))
+    return type(records[0])(*[None if values[0] is None else np.concatenate(values, axis) for values in columns])
 
 
 def _last_seen(points: Array, before: Array) -> Array:

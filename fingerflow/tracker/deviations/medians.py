@@ -82,10 +82,10 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
         for five deformation fields in k frames.
         """
-        low, high = (
+        low, high = [
             ordered[frame, field, np.minimum(np.maximum(np.rint(ranks + way), 0), last).astype(int)]
             for way in (-reach, reach)
-        )
+        ]
         return np.where(count > 0, ((high - low) / 2).astype(np.float64) ** 2, 0.0)
 
     share = share[rows, None]

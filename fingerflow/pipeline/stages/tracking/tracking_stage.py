@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import Images, TrackedPoints, noise_of, nothing_found, select
+from fingerflow.engines.engine import Images, TrackedPoints, noise_of, select
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
@@ -129,7 +129,7 @@ class TrackingStage(Stage):
         curved: list[NDArray[np.float32]] = []
         motion = _motion(self._seeded) if self._seeded else None
         for points, numbers in zip(self._seeded, self._around, strict=True):
-            around = select(join(groups, 1), slice(None), numbers) if groups else nothing_found(len(images))
+            around = select(join(groups, 1), slice(None), numbers) if groups else None
             groups.append(points.follow(images, around))
             curved.append(points.curvature_variance(groups[-1], around))
         if not groups:
@@ -214,7 +214,7 @@ class TrackingStage(Stage):
         self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin, points)
-        return self._start_tracking(images, points, nothing_found(len(images)), np.zeros(0, np.intp))
+        return self._start_tracking(images, points, None, np.zeros(0, np.intp))
 
     def _impulses(self, image: Images) -> float:
         """Return the share of the pixels of a frame that differ from the median of the 3 x 3 pixels around by more than
@@ -225,7 +225,7 @@ class TrackingStage(Stage):
         return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
 
     def _start_tracking(
-        self, images: Images, points: NDArray[np.floating], others: TrackedPoints, near: NDArray[np.intp], *more: Any
+        self, images: Images, points: NDArray[Any], others: TrackedPoints | None, near: NDArray[np.intp], *more: Any
     ) -> TrackedPoints:
         """Track newly seeded points (N, 2) px from the first of the n images on, and return their results (n, N).
 
@@ -236,7 +236,7 @@ class TrackingStage(Stage):
         new = Points(self._engine, images[:1], points, *more, template=template, knowledge=knowledge)
         self._seeded.append(new)
         self._around.append(near)
-        rest = [new.follow(images[1:], select(others, slice(1, None), near))] if len(images) > 1 else []
+        rest = [new.follow(images[1:], others and select(others, slice(1, None), near))] if len(images) > 1 else []
         return join([new.as_seeded, *rest], 0)
 
     def _detect(self, image: Images, where: NDArray[np.bool_], count: int) -> NDArray[np.floating]:
