@@ -14,9 +14,10 @@ from fingerflow.schema.scene import Scene, scene_from
 
 # Number of different sections of the noise, and step between those of two consecutive frames; both are primes.
 _NOISES, _NOISE_STEP = 4099, 1009
-# Width of the rim over which ridges begin to touch. With a sharp border a whole ridge touches in one frame, which no
-# press does: the frame then waits for those behind it, as if the image had jumped.
-_RIM_PX = 12
+# Width of the rim over which ridges begin to touch, inside and outside of the border. With a sharp border a whole ridge
+# touches in one frame, which no press does: the frame then waits for those behind it, as if the image had jumped. With
+# a wide one outside, the rim counts as faint.
+_RIM_PX = 6.0, 4.0
 
 
 def side_by_side(height: int, width: int) -> Scene:
@@ -139,5 +140,5 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
     pores = np.cos(0.31 * u + 0.17 * v) * np.cos(0.13 * u - 0.37 * v) + np.cos(0.21 * u - 0.11 * v + 1) / 2
     semi_x, semi_y = _semi_axes(progress, shape)
     depth = (1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y)
-    inside = np.clip(depth / _RIM_PX + 0.5, 0, 1)
+    inside = np.clip(0.5 + 0.5 * depth / np.where(depth > 0, *_RIM_PX), 0, 1)
     return 0.55 * ridges + 0.3 * pores, np.clip(0.5 + 4 * (ridges + 0.2), 0, 1) * inside
