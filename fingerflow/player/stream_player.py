@@ -49,7 +49,9 @@ _SENTENCES = {  # log messages by the names of the tracker's events
     "key_frame": "{points} points followed from a new key frame",
     "threshold": "threshold {threshold:.4f} of the intensity lost",
 }
-_AT_ONCE = 4  # largest number of frames that are measured at once
+# Largest number of frames that are measured at once, and s for which one waits for the next while others wait to be
+# tracked.
+_AT_ONCE, _PATIENCE = 4, 0.01
 _RECORDS_WAITING = 512  # number of queued records, of more than a second: the time that a slow disk may take to sync
 
 
@@ -355,8 +357,7 @@ class Player:
                 self._waiting_since, attempt = None, 0
                 if frame is None:
                     break
-                arrival = time.perf_counter()
-                exposed = arrival
+                exposed = arrival = time.perf_counter()
                 if source.live:
                     exposed, arrival = self._clock.update(source.stamp, arrival)
                 elif (seconds := self._recorded_time(source.stamp)) is not None:
@@ -454,12 +455,14 @@ class Player:
 
     def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
         """Return a frame with those that wait behind it and can be measured at once with it, which takes less time than
-        one by one; and what follows them, None if that has not come yet. Where the source waits, so does the frame.
+        one by one; and what follows them, None if that has not come yet. Where the source waits, or frames wait to be
+        tracked, so does this frame: fewer calls of Python then leave more time for tracking.
         """
         frames = [first]
         while len(frames) < _AT_ONCE and first.points is not None:
             self._tracker.contact(frames[-1])  # while others are tracked
-            item = self._outcomes.get(wait=self._can_wait)
+            behind = self.settings.process_all and not self._frames.is_empty()
+            item = self._outcomes.get(self._can_wait or (behind and _PATIENCE))
             if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not first.seeding:
                 return frames, item
             frames.append(item)
