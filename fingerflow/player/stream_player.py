@@ -383,7 +383,7 @@ class Player:
         if rate is not None and (stated or math.isnan(stamp)):
             return (self._first_number + self.frames_in) / rate
         if math.isnan(stamp) and not self.frames_in:
-            log.warning("%s: `time` is that of arrivals here; state recording.frame_rate", self.source_name)
+            log.warning("%s: `time` is that of arrivals here; state recording.frame_rate or --rate", self.source_name)
         return None if math.isnan(stamp) else stamp
 
     def _close_failed(self, source: Source | None, error: Exception, attempt: int) -> None:
