@@ -3,7 +3,7 @@
 #pragma once
 
 #if defined(__GNUC__) || defined(__clang__)
-#define FINGERFLOW_PREFETCH(address) __builtin_prefetch(address, 0, 2)
+#define FINGERFLOW_PREFETCH(address) __builtin_prefetch(reinterpret_cast<const void*>(address), 0, 2)
 #else
 #define FINGERFLOW_PREFETCH(address)
 #endif

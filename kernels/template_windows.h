@@ -41,6 +41,7 @@ inline bool is_finite(float value) { return value - value == 0.0f; }
 inline bool is_finite(const Vector& value) { return is_finite(value.x) && is_finite(value.y); }
 inline bool is_finite(const Matrix& m) { return is_finite(m.xx) && is_finite(m.xy) && is_finite(m.yx) && is_finite(m.yy); }
 inline float length(const Vector& v) { return sqrtf(v.x * v.x + v.y * v.y); }
+inline Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y}; }
 inline Vector operator*(const Matrix& m, const Vector& v) { return {m.xx * v.x + m.xy * v.y, m.yx * v.x + m.yy * v.y}; }
 inline Matrix operator*(const Matrix& a, const Matrix& b) {
     return {a.xx * b.xx + a.xy * b.yx, a.xx * b.xy + a.xy * b.yy, a.yx * b.xx + a.yy * b.yx, a.yx * b.xy + a.yy * b.yy};
