@@ -61,6 +61,10 @@ class _Layout(NamedTuple):
     results: list[tuple[str, str, tuple[Any, ...] | None, bool]]
 
 
+# Kernels of about 20 us, in which a thread of a stream would wait longer for the interpreter's lock if it released it.
+_SHORT = {"block_means", "covered", "frame_distances", "mean_response", "strip_differences"}
+
+
 class Kernel:
     """Callable kernel of the compiled library; arguments are named as in its declaration.
 
@@ -88,14 +92,13 @@ class Kernel:
         self._defaults = dict.fromkeys(function.derived, 0)
         self._needed = {argument.name for argument in function.arguments}
         self._pack = struct.Struct(function.format).pack
-        self._enter: Any = library[f"enter_{name}"]
+        self._enter: Any = (ctypes.PyDLL(library._name) if name in _SHORT else library)[f"enter_{name}"]
         self._enter.argtypes = (ctypes.c_char_p,)
-        self._message = library.fingerflow_last_message
-        self._layouts: dict[tuple[Any, ...], _Layout] = {}
+        self._message, self._layouts = library.fingerflow_last_message, dict[tuple[Any, ...], _Layout]()
 
     def __call__(self, **values: Any) -> Any:
-        """Call the library function, without holding the global interpreter lock, and return the results in the order
-        of the declaration: a tuple, or the only one.
+        """Call the library function, without holding the global interpreter lock where it is not `_SHORT`, and return
+        the results in the order of the declaration: a tuple, or the only one.
 
         Numbers that the shapes of arrays tell may be left out.
 
