@@ -112,8 +112,8 @@ def test_image_ops() -> None:
     rows = image_ops.run(quick=True)
     same = {(row["operation"], row["way"]): row["same"] for row in rows if row["way"] != "fingerflow"}
     corners = {key: value for key, value in same.items() if "corners" in str(key[0])}
-    assert len(same) == 4 + 4 + 3 + 2 + 3 + 1 + 1
-    assert all(number({"same": value}, "same") > 0.8 for value in corners.values())
+    assert len(same) == 18
+    assert min(corners.values()) > 0.8
     contact = {key: value for key, value in same.items() if "contact" in str(key[0])}
-    assert all(number({"same": value}, "same") > 0.998 for value in contact.values())
+    assert min(contact.values()) > 0.998
     assert all(value == 1 for key, value in same.items() if key not in {**corners, **contact}), same

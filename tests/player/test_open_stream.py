@@ -30,7 +30,7 @@ def played(stream: Stream) -> Path:
 
 
 def test_report_and_tables(played: Path, tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match="is no results folder of a stream"):
+    with pytest.raises(FingerflowError, match="name the results folder of a stream"):
         fingerflow.open_stream(tmp_path)
     assert set(RESULTS) <= set(fingerflow.open_stream(played).data_vars)  # no variable of the records is left out
     assert CliRunner().invoke(app, ["report", str(played)], catch_exceptions=False).exit_code == 0
