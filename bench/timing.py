@@ -1,5 +1,6 @@
 """Compare the run times of several functions, called in turns so that other load on the machine slows all alike."""
 
+import os
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -23,8 +24,11 @@ class Timing(NamedTuple):
         return {"ms": self.median_ms, "ms_p10": self.low_ms, "ms_p90": self.high_ms, "time_to_peer": self.to_peer}
 
 
+_CLOCK = time.process_time if os.environ.get("OMP_NUM_THREADS") == "1" else time.perf_counter
+
+
 def time_in_turns(
-    candidates: Mapping[str, Callable[[], object]], peer: str, rounds: int, clock: Callable[[], float] | None = None
+    candidates: Mapping[str, Callable[[], object]], peer: str, rounds: int, clock: Callable[[], float] = _CLOCK
 ) -> dict[str, Timing]:
     """Time candidates in turns: ``rounds`` rounds of all of them, after two rounds of warm-up.
 
@@ -34,9 +38,8 @@ def time_in_turns(
         candidates: calls by name.
         peer: the candidate that the ratios refer to.
         rounds: at least 2.
-        clock: in s, default `time.perf_counter`; `time.process_time` for one thread on a processor that others use too.
+        clock: in s, by default processor time for one thread (OMP_NUM_THREADS=1), elapsed time for more.
     """
-    clock = clock or time.perf_counter
     seconds: dict[str, list[float]] = {name: [] for name in candidates}
     for number in range(-2, rounds):
         for name, call in candidates.items():

@@ -5,9 +5,9 @@ frames ends at 5 x 5). `same` is the share that agrees with fingerflow: of the p
 the pixels that a threshold splits alike, or of fingerflow's corners. 16-bit frames hold 12 bits. The contact path goes
 from an 8-bit frame and the empty glass to the pixels in contact: illumination quotient, one byte a pixel, median 9 x 9,
 Otsu's threshold within the lit disc, count; OpenCV's has the lit disc and the reference prepared beforehand. Corners
-are 700 at most (100 with --quick) and 7 px apart; goodFeaturesToTrack treats the border of the frame differently and
-knows no noise. Where fingerflow's compiled kernels were built they serve (the JSON record says so), with the same
-threads; `FINGERFLOW_KERNELS=0` measures the portable ops.
+are 700 at most (100 with --quick) and 7 px apart, in 1024 x 1024 px (256 x 320); goodFeaturesToTrack treats the border
+of the frame differently and knows no noise. Where fingerflow's compiled kernels were built they serve (the JSON record
+says so), with the same threads; `FINGERFLOW_KERNELS=0` measures the portable ops.
 """
 
 from collections.abc import Callable
@@ -54,7 +54,7 @@ def run(quick: bool) -> list[Row]:
         *(_median(image, size) for image in (frame, wide) for size in (5, 9)),
         _otsu(frame),
         _contact(frame, empty),
-        _corners(skin, 100 if quick else 700),
+        _corners(skin.repeat(1, 1, 2, 2)[..., :1024], 100 if quick else 700),
     ]
     rows: list[Row] = []
     for operation in operations:
@@ -62,7 +62,7 @@ def run(quick: bool) -> list[Row]:
         ours = operation.ways[OURS]()
         for name, way in operation.ways.items():
             same = None if name == OURS else _agreement(ours, way())
-            rows.append({"operation": operation.name, "way": name, **times[name].cells(), "same": same})
+            rows += [{"operation": operation.name, "way": name, **times[name].cells(), "same": same}]
     return rows
 
 
@@ -72,10 +72,9 @@ def _view(scene: Press, name: str, picture: NDArray[np.integer], part: tuple[sli
 
 def _agreement(ours: Tensor, theirs: Tensor) -> float:
     if ours.shape[-1] == 2:
-        known = {tuple(corner) for corner in theirs.tolist()}
-        return sum(tuple(corner) in known for corner in ours.tolist()) / len(ours)
-    inside = slice(BORDER, -BORDER)
-    return (ours[inside, inside] == theirs[inside, inside]).double().mean().item()
+        known, found = (set(map(tuple, corners.tolist())) for corners in (theirs, ours))
+        return len(known & found) / len(found)
+    return (ours == theirs)[BORDER:-BORDER, BORDER:-BORDER].double().mean().item()
 
 
 def _median(frame: Tensor, size: int) -> Operation:

@@ -59,7 +59,7 @@ def run(quick: bool) -> list[Row]:
         write_quietly(recording, press)
         calls = {name: partial(pipeline, recording, press) for name, pipeline in PIPELINES.items()}
         rounds = 2 if quick else 5
-        times = time_in_turns(calls, PEER, rounds)
+        times = time_in_turns(calls, PEER, rounds, time.perf_counter)
         processor = time_in_turns(calls, PEER, rounds, time.process_time)
         measured = {name: call() for name, call in calls.items()}
     return [
@@ -76,16 +76,12 @@ def run(quick: bool) -> list[Row]:
 
 
 def opencv_cpu_ms(quick: bool) -> float:
-    """Return the processor time of OpenCV's pipeline a frame, ms: the least of three runs on the press."""
+    """Return the processor time of OpenCV's pipeline a frame, ms: the median of three runs on the press."""
     press = QUICK_PRESS if quick else PRESS
     with tempfile.TemporaryDirectory() as folder:
         write_quietly(Path(folder) / "press", press)
-        seconds = []
-        for _ in range(3):
-            start = time.process_time()
-            _with_opencv(Path(folder) / "press", press)
-            seconds.append(time.process_time() - start)
-    return 1e3 * min(seconds) / press.n_frames
+        call = partial(_with_opencv, Path(folder) / "press", press)
+        return time_in_turns({PEER: call}, PEER, 3, time.process_time)[PEER].of_each(press.n_frames).median_ms
 
 
 def _with_opencv(recording: Path, press: Press) -> Measured:

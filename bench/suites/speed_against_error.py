@@ -24,7 +24,6 @@ correction for the deformation and fields are not part of it.
 """
 
 import json
-import time
 import tomllib
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -102,12 +101,8 @@ def run(quick: bool) -> list[Row]:
                 reason = "the compiled library does not serve here"
                 absent.append({"window_px": window, "tracker": name, "left_out": reason})
     # All in one round, so that the windows can be compared with each other.
-    times = time_in_turns(
-        {_label(*name): way.call for name, way in ways.items()},
-        _label(*PEER),
-        rounds=2 if quick else 31,
-        clock=time.process_time if torch.get_num_threads() == 1 else time.perf_counter,
-    )
+    calls = {_label(*name): way.call for name, way in ways.items()}
+    times = time_in_turns(calls, _label(*PEER), rounds=2 if quick else 31)
     rows = [_row(*name, way, times[_label(*name)], points.shape[1]) for name, way in ways.items()]
     return [*rows, *absent, *_measured_apart()]
 

@@ -103,6 +103,36 @@ def closed_loop(rows: Rows) -> list[list[str]]:
     return table
 
 
+def flow(rows: Rows) -> list[list[str]]:
+    """Return error and time over Farneback's of each way to dense flow, by scene."""
+    found: dict[str, dict[str, str]] = {}
+    for row in rows:
+        cell = f"{row['epe_px']:.2g} px; {row['time_to_peer']:.3g}"
+        found.setdefault(row["way"].replace("fingerflow", "`dense_flow`"), {})[row["scene"]] = cell
+    scenes = "whorl", "ridges", "dimetrodon"
+    return [["", *scenes], *([way, *_of(cells, *scenes)] for way, cells in found.items())]
+
+
+def image_ops(rows: Rows) -> list[list[str]]:
+    """Return the time of each operation over that of its peer, and the share of the result that is the same."""
+    peers = {row["operation"]: row for row in reversed(rows)}  # the first way of each
+    head = ["operation", "peer", "its time, ms", "time over the peer's", "same"]
+    ours = [row for row in rows if row["way"] == "fingerflow"]
+    return [
+        head,
+        *(
+            [
+                row["operation"],
+                peer["way"],
+                f"{peer['ms']:.3g}",
+                f"{row['time_to_peer']:.2g}",
+                f"{100 * peer['same']:.3g} %",
+            ]
+            for row, peer in ((row, peers[row["operation"]]) for row in ours)
+        ),
+    ]
+
+
 def _of(cells: Mapping[str, str], *names: str) -> list[str]:
     return [cells.get(name, "") for name in names]
 
@@ -115,6 +145,8 @@ TABLES: Mapping[Callable[[Rows], list[list[str]]], str] = {
     bad_frames: "frames",
     slip_flag: "slip_flag",
     closed_loop: "closed_loop",
+    flow: "flow",
+    image_ops: "image_ops",
 }
 
 

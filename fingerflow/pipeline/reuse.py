@@ -213,7 +213,7 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
 
 def _content(file: Path) -> str:
     try:
-        return digest_of_bytes([file.read_bytes()])
+        return digest_of_bytes([file.read_bytes() if file.is_file() else b""])
     except OSError:  # the stage that reads the file reports the error
         return ""
 
@@ -222,8 +222,7 @@ def _content(file: Path) -> str:
 def code_version() -> str:
     """Return the package version and a digest of all source code and compiled kernels that affect results."""
     package = Path(__file__).parents[1]
-    files = [file for room in _CODE for file in (package / room).rglob("*.py")]
-    files += package.glob("_kernels*")
+    files = (*(file for room in _CODE for file in (package / room).rglob("*.py")), *package.glob("_kernels*"))
     parts = (f"{file.relative_to(package).as_posix()} ".encode() + file.read_bytes() for file in sorted(files))
     return f"{__version__} {digest_of_bytes(parts)}"
 

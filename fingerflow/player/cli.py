@@ -62,7 +62,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
 def _may_replace(path: Path) -> bool:
     """Return whether a file may be written: the path is free, or holds the summary of an earlier stream."""
     try:
-        return not path.exists() or json.loads(path.read_bytes()).keys() >= _SUMMARY
+        return not path.exists() or (path.is_file() and json.loads(path.read_bytes()).keys() >= _SUMMARY)
     except (OSError, ValueError, AttributeError, RecursionError):
         return False
 

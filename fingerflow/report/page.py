@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fingerflow import plot
+from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import varies
 from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style
 from fingerflow.plot.captions import caption_of
@@ -114,13 +115,11 @@ class _Figures:
         """Draw one figure for each pair (drawing function, variable) in `drawings`, passing the same settings, such as
         `against`, to every function.
         """
-        figures = []
-        for draw_one, variable in drawings:
-            on = draw_one(self.result, **settings)
-            figures.append(
-                self.drawn(on, "-".join((variable, *settings.values())), f"{on.get_title()} against {on.get_xlabel()}")
-            )
-        return figures
+        return [
+            self.drawn(on, "-".join((variable, *settings.values())), f"{on.get_title()} against {on.get_xlabel()}")
+            for draw, variable in drawings
+            for on in (draw(self.result, **settings),)
+        ]
 
 
 def write_report(
@@ -147,9 +146,11 @@ def write_report(
         figure_files: write each figure of the page also as a file, into the folder `figures`, in these formats.
 
     Raises:
-        FingerflowError: before anything is computed, if an output is an input of the scene, or without ``overwrite``
-            a file that no report has written.
+        FingerflowError: before anything is computed, if the result has no frame, or an output is an input of the
+            scene, or without ``overwrite`` a file that no report has written.
     """
+    if not result.frame.size:
+        raise FingerflowError(f"{folder}: the result has no frame to report; was the stream ended before its first?")
     for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
         spare(folder / output, *(scene.files() if scene is not None else ()))
         keep_others(folder / output, is_marked, overwrite)
@@ -192,7 +193,7 @@ def write_report(
             calibration_picture=_calibration_picture(scene),
             practice=practice_tables(result, scene),
             settings=settings_tables(result.attrs["settings"]),
-            stages=[(name, value, 1000 * value / result.sizes["frame"]) for name, value in seconds.items()],
+            stages=[(name, value, 1000 * value / len(numbers)) for name, value in seconds.items()],
             sizes=dict(result.sizes),
             # Only "<" could end a script element, which has no escapes of its own, so it is written as a JSON escape.
             curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
@@ -224,8 +225,7 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame]) -
         ]
         sections.append(Section("What was seen", panels, first=max(most, 0)))
     time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
-    loads = [(draw, name) for draw, name in time_only if name in result]
-    loads = [(draw, name) for draw, name in loads if name == "normal_force" or varies(result, name)]
+    loads = [pair for pair in time_only if pair[1] in result and (pair[1] == "normal_force" or varies(result, pair[1]))]
     contact = (plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")
     sections.append(make.curves("Contact and load", contact, before=make.each(loads)))
     deformation: list[tuple[Draw, str]] = [

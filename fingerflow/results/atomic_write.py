@@ -26,9 +26,9 @@ def spare(output: Path, *inputs: Path | None) -> None:
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
     ("file::dataset").
     """
-    for source in inputs:
-        file = None if source is None else Path(str(source).split("::")[0])
-        if file is None or not file.exists():
+    for source in filter(None, inputs):
+        file = Path(str(source).split("::")[0])
+        if not file.exists():
             continue
         if file.is_dir():
             taken = output.suffix.lower() in _PICTURES and output.resolve().parent == file.resolve()
@@ -52,7 +52,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
     Raises FingerflowError where a file exists that `is_ours` does not recognise, unless `overwrite`.
     """
-    if not overwrite and path.exists() and not path.is_dir() and not is_ours(path):
+    if not overwrite and path.exists() and not path.is_dir() and not (path.is_file() and is_ours(path)):
         raise FingerflowError(
             f"{path} exists and was not written by this command; give another name, remove it, or allow it by "
             "overwrite (--overwrite)"
@@ -98,8 +98,8 @@ def written_atomically(path: Path) -> Iterator[Path]:
     """
     part: Path | None = None
     try:
-        if not path.name or path.is_dir():
-            raise FingerflowError(f"{path} is a folder and cannot be written; name a file in it")
+        if not path.name or (path.exists() and not path.is_file()):
+            raise FingerflowError(f"{path} is no file (a folder, pipe or device) and cannot be written; name a file")
         path.parent.mkdir(parents=True, exist_ok=True)
         part = unfinished(path)
         yield part

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.results.atomic_write import keep_others, write_atomically, write_csv
 from fingerflow.results.patient_file import PatientFile
+from fingerflow.schema.text_file import read_text
 from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import FRAME, shown_unit
@@ -25,6 +26,7 @@ from fingerflow.schema.variables import FRAME, shown_unit
 Array = NDArray[Any]
 RESULTS_FORMAT = 2
 log = logging.getLogger("fingerflow.results")
+_AGAIN = "name the results folder of a stream, or copy it again"
 _AT_ONCE = 1 << 13  # bytes of records written together, which are lost at most if the process is killed
 
 
@@ -41,27 +43,25 @@ def read_results(folder: str | Path) -> StreamResults:
     running.
 
     ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
-    ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
+    ``records["position_px"]`` (F, N, 2). Raises FingerflowError where it is no results folder.
     """
     folder = Path(folder)
     try:
-        header = json.loads((folder / "header.json").read_text(encoding="utf-8"))
+        header = json.loads(read_text(folder / "header.json", _AGAIN))
         if header["format"] != RESULTS_FORMAT:
             raise PlayerError(
                 f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}; use the player "
                 "of the bundle that wrote them"
             )
         dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
-        lacking = {"frame", "time"} - set(dtype.names or ())
-        if lacking:
+        if lacking := {"frame", "time"} - set(dtype.names or ()):
             raise ValueError(f"its records have no {' and no '.join(sorted(lacking))}")
         for field in header["fields"]:
             tuple(map(str, field["dims"])), str(field["unit"])
         count = (folder / "records.bin").stat().st_size // dtype.itemsize
-        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
-        events = [json.loads(line) for line in lines if line.endswith("\n")]
+        events = [json.loads(line) for line in read_text(folder / "events.jsonl", _AGAIN, 1 << 30).split("\n")[:-1]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise PlayerError(f"{folder}: is no results folder of a stream ({first_line(error)}); copy it again") from None
+        raise PlayerError(f"{folder}: is no results folder of a stream ({first_line(error)}); {_AGAIN}") from None
     records = np.memmap(folder / "records.bin", dtype, "r", shape=(count,)) if count else np.empty(0, dtype)
     return StreamResults(records, header, events)
 

@@ -35,7 +35,6 @@ def open_stream(folder: str | Path) -> xr.Dataset:
 
     Raises FingerflowError where it is no folder of results.
     """
-    folder = Path(folder)
     results = read_results(folder)
     try:
         restarts = [int(event["points"]) for event in results.events if event["event"] == "restart"]
@@ -47,15 +46,15 @@ def open_stream(folder: str | Path) -> xr.Dataset:
             if (variable := _VARIABLES.get(name)) is not None
         }
         time, frame = (np.array(results.records[name]) for name in ("time", "frame"))
-        return labelled(arrays, time, frame, _about(results.header, _warnings(folder)))
+        return labelled(arrays, time, frame, _about(results.header, _warnings(Path(folder) / "summary.json")))
     except KeyError as error:
         raise FingerflowError(f"{folder}: header.json does not state {error}; copy the folder again") from None
 
 
-def _warnings(folder: Path) -> list[str]:
+def _warnings(summary: Path) -> list[str]:
     """Return the warnings in the summary of a stream, which a stream that still runs or was killed has not."""
     try:
-        return [str(sentence) for sentence in json.loads((folder / "summary.json").read_bytes())["warnings"]]
+        return [str(line) for line in json.loads(summary.read_bytes() if summary.is_file() else "{}")["warnings"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
 

@@ -17,11 +17,9 @@ from fingerflow.pipeline.reuse import code_version
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.recordings.frames.images import list_images
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.text_file import check_file
 from fingerflow.study.dotted_keys import flattened
 
-_PARTS = ("result", "row")
-#: Files of the package that determine the content of a row.
-_ROW = ("study/row.py", "models/growth_laws.py", "schema/trial_columns.py")
 _IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files, which are digested together
 _WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
 _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file
@@ -73,9 +71,9 @@ class Keys:
         """Return the scene-file keys, such as `recording.frames`, of the input files that differ between these cache
         keys and `now` by `same_content`, or that only one of the two lists.
         """
-        names = dict.fromkeys((*self.inputs, *now.inputs))
-        both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
-        return [name for name, before, after in both if not (before and after and same_content(before, after))]
+        before, after = self.inputs, now.inputs
+        same = {name for name in before.keys() & after if same_content(before[name], after[name])}
+        return [name for name in {**before, **after} if name not in same]
 
 
 def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
@@ -89,14 +87,14 @@ def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> 
     settings.pop("path")
     settings["stream"].pop("output", None)
     settings["calibration"].pop("file", None)
-    paths = {str(path) for path in scene.files()[1:]}
+    paths = set(map(str, scene.files()[1:]))
     values = dict(flattened(settings))
     named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
     inputs = {name: describe_file(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
     # Identify files by their content, not by their names.
     values |= {name: [file.size, file.digest] for name, file in inputs.items()}
-    result = digest_of(values, code_digest("result"))
-    return Keys(result, digest_of(result, code_digest("row")), inputs)
+    result = digest_of(values, all_codes()["result"])
+    return Keys(result, digest_of(result, all_codes()["row"]), inputs)
 
 
 def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
@@ -124,19 +122,16 @@ def same_content(before: InputFile, now: InputFile) -> bool:
     return unchanged and (before.modified == now.modified or now.whole)
 
 
+@cache
 def all_codes() -> dict[str, str]:
     """Return a digest of the source code that computes results and one of the code that computes table rows, under the
     keys "result" and "row".
     """
-    return {part: code_digest(part) for part in _PARTS}
-
-
-@cache
-def code_digest(part: str) -> str:
-    """Return a digest of the source code that computes "result" or "row" of a trial."""
-    if part == "result":
-        return code_version()
-    return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
+    texts = (
+        (Path(__file__).parents[1] / name).read_text("utf-8")
+        for name in ("study/row.py", "models/growth_laws.py", "schema/trial_columns.py")  # decide the content of a row
+    )
+    return {"result": code_version(), "row": digest_of(*texts)}
 
 
 def _list_files(file: Path) -> list[Path]:
@@ -151,7 +146,7 @@ def _list_files(file: Path) -> list[Path]:
 
 def _content(file: Path, size: int) -> Iterator[bytes]:
     """Yield name and size of a file as bytes, then its content; of a large file only evenly spaced samples."""
-    yield f"{file.name} {size} ".encode()
+    yield f"{file.name} {check_file(file)} ".encode()
     with file.open("rb") as opened:
         if size <= _WHOLE_BYTES:
             while part := opened.read(1 << 20):

@@ -141,38 +141,39 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             f"a study runs on Dask, which is not installed ({error}): pip install 'dask[distributed]' cryptography"
         ) from error
     logging.getLogger("distributed").setLevel(logging.ERROR)
-    environment: dict[str, int | str] = {
+    environment: dict[str, Any] = {
         f"distributed.nanny.pre-spawn-environ.{name}": threads
         for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     }
     # OpenMP threads spin between operations by default: two of them on a busy machine take four times the processor
     # time and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
-    # Dask has the GNU C library return freed memory at once: each array above 128 kB is then mapped again and its pages
-    # are cleared by the system at the first touch, 600 of them per frame. Here a few hundred MB are kept for reuse.
-    environment["distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_"] = 256 << 20
-    environment["distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_"] = 32 << 20
-    # Client and workers monitor themselves up to 50 times a second, which takes 9 % of a core with two workers; with
-    # these intervals it takes less than 2 %.
     environment |= {
+        # Dask has the GNU C library return freed memory at once: each array above 128 kB is then mapped again and its
+        # pages are cleared by the system at the first touch, 600 of them per frame. Here a few hundred MB are kept.
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 256 << 20,
+        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 32 << 20,
+        # Client and workers monitor themselves up to 50 times a second, which takes 9 % of a core with two workers;
+        # with these intervals it takes less than 2 %.
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.tick.cycle": "2s",
         "distributed.admin.system-monitor.interval": "5s",
         "distributed.worker.memory.monitor-interval": "500ms",
-    }
-    if scheduler is None and sys.platform == "linux":  # elsewhere a process that has loaded torch may not fork
-        environment["distributed.worker.multiprocessing-method"] = "forkserver"
-    # A worker's profiler keeps a call tree for every second of the last hour, 0.4 MB per small recording. Logs of
-    # messages and transitions serve Dask's developers and take 16 MB in the client and its scheduler.
-    settings = {
+        # A worker's profiler keeps a call tree for every second of the last hour, 0.4 MB per small recording. Logs of
+        # messages and transitions serve Dask's developers and take 16 MB in the client and its scheduler.
         "distributed.comm.retry.count": 3,
         "distributed.worker.profile.enabled": False,
         "distributed.admin.low-level-log-length": 100,
     }
-    with dask.config.set({**environment, **settings}):
+    if scheduler is None:
+        # Pages of the scheduler and of workers, which list tasks and logs, are open to every user of this computer.
+        environment |= {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
+        if sys.platform == "linux":  # elsewhere a process that has loaded torch may not fork
+            environment["distributed.worker.multiprocessing-method"] = "forkserver"
+    with dask.config.set(environment):
         cluster: Any = None
         try:
-            if scheduler is not None and scheduler.startswith(_ADDRESS):
+            if scheduler and scheduler.startswith(_ADDRESS):
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:

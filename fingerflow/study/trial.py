@@ -21,7 +21,7 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError, is_out_of_memory
 from fingerflow.pipeline.run import process_to_file
 from fingerflow.results.result import open_result, read_own
-from fingerflow.study.cache_keys import Keys, all_codes, code_digest, describe_file, trial_keys
+from fingerflow.study.cache_keys import Keys, all_codes, describe_file, trial_keys
 from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
@@ -36,12 +36,12 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
     Args:
         task: manifest of this trial alone, and what to redo: "everything", what settings or code have "changed", or the
             "row" alone.
-        codes: the client's `code_digest` by part, which the worker's must equal.
+        codes: the client's `all_codes`, which the worker's must equal.
         threads: number of threads that the worker uses.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
-    different = [part for part, code in codes.items() if code_digest(part) != code]
+    different = [part for part, code in codes.items() if all_codes()[part] != code]
     if different:
         raise FingerflowError(
             f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "

@@ -111,9 +111,6 @@ def test_image_ops() -> None:
     """
     rows = image_ops.run(quick=True)
     same = {(row["operation"], row["way"]): row["same"] for row in rows if row["way"] != "fingerflow"}
-    corners = {key: value for key, value in same.items() if "corners" in str(key[0])}
-    assert len(same) == 4 + 4 + 3 + 2 + 3 + 1 + 1
-    assert all(number({"same": value}, "same") > 0.8 for value in corners.values())
-    contact = {key: value for key, value in same.items() if "contact" in str(key[0])}
-    assert all(number({"same": value}, "same") > 0.998 for value in contact.values())
-    assert all(value == 1 for key, value in same.items() if key not in {**corners, **contact}), same
+    least = {"corners": 0.8, "contact": 0.998}
+    for (operation, _), value in same.items():
+        assert value >= next((limit for word, limit in least.items() if word in operation), 1), same

@@ -93,8 +93,7 @@ player.write_table(results, table)
 try:
     player.read_results(".")
 except FingerflowError as error:
-    assert "is no results folder" in str(error)
-    assert isinstance(error, player.PlayerError)
+    assert "name the results folder" in str(error)
 loaded = {Path(module.__file__) for name, module in sys.modules.items() if name.startswith("fingerflow")}
 assert all(file.is_relative_to(Path.cwd() / "fingerflow") for file in loaded), loaded
 """

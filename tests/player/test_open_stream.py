@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import fingerflow
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
+from fingerflow.report import write_report
 from fingerflow.tracker.frame_results import RESULTS
 
 
@@ -30,7 +31,7 @@ def played(stream: Stream) -> Path:
 
 
 def test_report_and_tables(played: Path, tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match="is no results folder of a stream"):
+    with pytest.raises(FingerflowError, match="name the results folder of a stream"):
         fingerflow.open_stream(tmp_path)
     assert set(RESULTS) <= set(fingerflow.open_stream(played).data_vars)  # no variable of the records is left out
     assert CliRunner().invoke(app, ["report", str(played)], catch_exceptions=False).exit_code == 0
@@ -38,12 +39,14 @@ def test_report_and_tables(played: Path, tmp_path: Path) -> None:
     assert "fingertip on glass, a stream" in page
     assert "<td>scale</td><td>0.50000 mm/px</td>" in page
     for name in ("table.mat", "table.csv"):
-        ended = CliRunner().invoke(app, ["export-table", str(played), str(tmp_path / name)], catch_exceptions=False)
-        assert ended.exit_code == 0
+        assert CliRunner().invoke(app, ["export-table", str(played), str(tmp_path / name)]).exit_code == 0
     table = scipy.io.loadmat(tmp_path / "table.mat")
     np.testing.assert_array_equal(table["real_contact_area"].ravel(), np.arange(8) * 200.0)
     assert table["position_px"].shape == (8, 10, 2)
     assert "real_contact_area (mm²)" in (tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    (played / "records.bin").write_bytes(b"")
+    with pytest.raises(FingerflowError, match="has no frame to report"):
+        write_report(fingerflow.open_stream(played), None, played)
 
 
 @pytest.mark.parametrize(("rate", "warned"), [("", True), ("[recording]\nframe_rate = 40.0\n", False)])

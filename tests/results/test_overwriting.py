@@ -66,13 +66,15 @@ def test_a_result_replaces_results_alone(tmp_path: Path) -> None:
     for content in (b"years of work", b"", b"\x89HDF\r\n\x1a\n and no more"):
         path.write_bytes(content)
         assert not is_result(path)
-        with pytest.raises(
-            FingerflowError, match=r"result\.h5 exists and was not written by this command; .*--overwrite"
-        ):
+        with pytest.raises(FingerflowError, match=r"result\.h5 exists and was not written by this.*--overwrite"):
             save_result(result(), path)
         assert path.read_bytes() == content
     save_result(result(3.0), path, overwrite=True)
     assert load_result(path)["area"][0] == 3.0
+    os.mkfifo(pipe := tmp_path / "pipe")
+    for overwrite in (False, True):
+        with pytest.raises(FingerflowError, match=r"pipe (exists and was not|is no file)"):
+            save_result(result(), pipe, overwrite)
 
 
 def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,33 +85,28 @@ def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.Mon
     scene = load_scene(tmp_path / "press" / "scene.toml")
     (tmp_path / "notes.h5").write_bytes(b"years of work")
     monkeypatch.setattr("fingerflow.pipeline.run._run", lambda *_: pytest.fail("frames were read"))
-    inputs = [tmp_path / "press" / name for name in ("forces.csv", "frames.npy", "empty.npy", "scene.toml")]
-    for output in (tmp_path / "notes.h5", *inputs):
+    for output, overwrite in ((tmp_path / "notes.h5", False), (tmp_path / "press" / "frames.npy", True)):
         before = output.read_bytes()
-        with pytest.raises(FingerflowError, match=r"overwrite|would be replaced"):
-            process(scene, to=output)
+        with pytest.raises(FingerflowError, match=r"overwrite|would be replaced"):  # an input is never replaced
+            process(scene, to=output, overwrite=overwrite)
         assert output.read_bytes() == before
-    with pytest.raises(FingerflowError, match="would be replaced"):  # an input is never replaced
-        process(scene, to=tmp_path / "press" / "frames.npy", overwrite=True)
 
 
 def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path) -> None:
     from matplotlib.figure import Figure
 
     from fingerflow.plot.figure_files import PNG
-    from fingerflow.report import video_writer as video
-    from fingerflow.report import write_report
+    from fingerflow.report import video_writer, write_report
     from fingerflow.results.atomic_write import is_marked
 
-    trial = result().assign_coords(time=("frame", np.arange(3.0)))
+    trial = result().assign_coords(time=("frame", np.arange(3.0)), frame=np.arange(3))
     trial.attrs |= {"stage_seconds": "{}", "settings": "{}", "warnings": "[]", "mm_per_px": 0.05, "title": "a press",
                     "topography_to_contact": "[[1, 0, 0], [0, 1, 0]]", "strain_measure": "green_lagrange",
                     "frames": "a.npy", "created": "2026-01-01"}  # fmt: skip
-    trial = trial.assign_coords(frame=np.arange(3))
     page = write_report(trial, None, tmp_path)
     assert write_report(trial, None, tmp_path) == page  # its own
     PNG.save(Figure(), tmp_path, "ours")
-    video.encode_video([np.zeros((32, 32, 3), np.uint8)] * 3, tmp_path / "ours.mp4")
+    video_writer.encode_video([np.zeros((32, 32, 3), np.uint8)] * 3, tmp_path / "ours.mp4")
     assert all(map(is_marked, (page, tmp_path / "ours.png", tmp_path / "ours.mp4")))
     page.write_text("<h1>years of work</h1>")
     with pytest.raises(FingerflowError, match=r"report\.html exists and was not written by this command"):

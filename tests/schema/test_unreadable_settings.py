@@ -15,16 +15,17 @@ from fingerflow.results.stream_folder import read_results
 from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.recipe import load_recipe
 from fingerflow.schema.scene import load_scene
+from fingerflow.study.cache_keys import describe_file
 from fingerflow.study.manifest import load_manifest
 
 DEEP = "[" * 200_000
 
 
-@pytest.mark.parametrize("read", [load_scene, read_calibration])
+@pytest.mark.parametrize("read", [load_scene, read_calibration, describe_file, lambda path: read_results(path.parent)])
 def test_a_pipe_is_not_waited_for(tmp_path: Path, read: Callable[[Path], Any]) -> None:
-    os.mkfifo(tmp_path / "a.toml")
-    with pytest.raises(FingerflowError, match=r"a\.toml: .*is a pipe, not a file.*`fingerflow (init|calibrate)`"):
-        read(tmp_path / "a.toml")
+    os.mkfifo(path := tmp_path / "header.json")
+    with pytest.raises(FingerflowError, match=r"header\.json: .*is a pipe, not a file; copy"):
+        read(path)
 
 
 @pytest.mark.parametrize("read", [load_scene, read_calibration, load_recipe, load_manifest])

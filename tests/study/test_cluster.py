@@ -119,9 +119,9 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(cap
     assert (said + capfd.readouterr().err).count("no worker is at") == 1
 
 
-def _asks_as_somebody_else(_: int) -> tuple[str, str]:
-    """Return the scheduler's address, and the outcomes of connecting to it without its certificate, as another user
-    would.
+def _asks_as_somebody_else(_: int) -> tuple[str, str, list[str]]:
+    """Return the scheduler's address, the outcomes of connecting to it without its certificate, as another user would,
+    and its pages, which need none.
     """
     from distributed import Security, get_worker
 
@@ -133,15 +133,16 @@ def _asks_as_somebody_else(_: int) -> tuple[str, str]:
             answers.append("let in")
         except Exception as error:
             answers.append(type(error).__name__)
-    return address, " ".join(answers)
+    return address, " ".join(answers), dask.config.get("distributed.scheduler.http.routes")
 
 
 def test_nobody_else_is_let_in_by_the_scheduler_of_a_study() -> None:
     """The scheduler, which runs any code that it receives, accepts no connection by TCP or with a foreign
-    certificate.
+    certificate, and serves no page.
     """
-    ((address, answers),) = run_on_workers(
+    ((address, answers, pages),) = run_on_workers(
         _asks_as_somebody_else, iter([("task", 1)]), 1, _raise, workers=1, progress=False
     )
     assert address.startswith("tls://127.0.0.1:")
     assert "let in" not in answers
+    assert pages == []

@@ -161,7 +161,7 @@ def test_what_nobody_expected_is_a_row_with_its_traceback(
 def test_a_worker_of_another_version_is_refused(
     study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker, "code_digest", lambda part: "other")
+    monkeypatch.setattr(worker, "all_codes", lambda: {"result": "", "row": ""})
     with pytest.raises(FingerflowError, match="has other code for result, row"):
         _run(study, scheduler, only="01_0_1")
 

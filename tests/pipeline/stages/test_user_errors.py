@@ -38,6 +38,7 @@ def glass(press: Path) -> Array:
         ('trigger = "trigger"', 'trigger = "start"', "forces.csv: has no column 'start'; its columns are .*'trigger'"),
         ('trigger = "trigger"', 'trigger = "normal_force"', r"trigger is 'normal_force', the channel of a force"),
         ("trigger_level = 2.5", 'trigger_level = 2.5\ntime = "clock"', "forces.csv: has no column 'clock'"),
+        ('/forces.csv"', '/../../../../../../../dev/zero"', "/dev/zero: is a device, not a file"),
     ],
 )
 def test_a_setting_that_does_not_fit_the_files_is_named(changed: Change, old: str, new: str, message: str) -> None:
