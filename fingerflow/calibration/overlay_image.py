@@ -130,5 +130,4 @@ def _flatten_light(image: Array) -> NDArray[np.uint8]:
     light = cv2.GaussianBlur(smooth, (0, 0), max(1.0, min(image.shape) * LIGHT_SHARE))
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
     low, high = np.percentile(flat, (0.5, 99.5))
-    result: NDArray[np.uint8] = np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)
-    return result
+    return np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)

@@ -110,8 +110,7 @@ def _transform(linear: Array, source: Array, target: Array) -> Transform:
 def _centered_complex(points: Array) -> NDArray[np.complex128]:
     """Return points (..., N, 2) as complex numbers x + iy (..., N), with the mean subtracted."""
     centered = points - points.mean(axis=-2, keepdims=True)
-    result: NDArray[np.complex128] = centered[..., 0] + 1j * centered[..., 1]
-    return result
+    return centered[..., 0] + 1j * centered[..., 1]
 
 
 def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
@@ -129,8 +128,7 @@ def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]
             f"discs at {_centres(discs)} px are collinear: no triangle of them is higher than {LEAST_HEIGHT} of its "
             f"longest side. Use a target with three discs that are not on a line"
         )
-    result: NDArray[np.int64] = indices[tall]
-    return result
+    return indices[tall]
 
 
 def _best_pair(

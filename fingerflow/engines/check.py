@@ -239,8 +239,7 @@ def _covariance(frame: BuiltIn) -> Array:
     """Return the covariances (1, N, 2, 2) px^2 of positions, of which some are uncertain."""
     deviation = np.full((1, len(frame.points), 1, 1), _CERTAIN)
     deviation[:, frame.few[1::4]] = _UNCERTAIN
-    result: Array = deviation**2 * np.eye(2, dtype=np.float32)
-    return result
+    return deviation**2 * np.eye(2, dtype=np.float32)
 
 
 def _field_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
@@ -288,8 +287,7 @@ def built_in(height: int, width: int, bit_depth: int, points: int, window_px: in
     start[::_UNKNOWN] = np.nan
 
     def view(values: Array) -> Array:
-        levels: Array = np.round(values * ((2**bit_depth - 1) / 255)).astype(np.uint8 if bit_depth == 8 else np.uint16)
-        return levels
+        return np.round(values * ((2**bit_depth - 1) / 255)).astype(np.uint8 if bit_depth == 8 else np.uint16)
 
     return BuiltIn(
         view(np.full((height, width), _GLASS)),
@@ -309,8 +307,7 @@ def _texture(x: Array, y: Array) -> Array:
         # Direction and wavelength by golden angle and golden ratio, so that no two waves are alike.
         turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)
         total += np.sin(2 * math.pi / length * (math.cos(turn) * x + math.sin(turn) * y) + wave * wave)
-    levels: Array = 120 + 80 / math.sqrt(2 * _WAVES) * total
-    return np.clip(levels, 0, 255)
+    return np.clip(120 + 80 / math.sqrt(2 * _WAVES) * total, 0, 255)
 
 
 def spread(height: int, width: int, count: int, margin: int = 0) -> Array:

@@ -41,8 +41,7 @@ def covers(density_margin: Array, points: Array, topography_to_contact: Array, c
     matrix = topography_to_contact.astype(np.float32)
     if is_present():
         contact = {"density_margin": density_margin, "side": cell}
-        mask: Array = compiled("covered")(**contact, points=points, transform=matrix)
-        return mask
+        return compiled("covered")(**contact, points=points, transform=matrix)
     across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
     with np.errstate(invalid="ignore", over="ignore"):  # positions may be infinite
         x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
@@ -55,5 +54,4 @@ def covers(density_margin: Array, points: Array, topography_to_contact: Array, c
     (left, top), (right, below) = first.astype(int), np.minimum(first + 1, size - 1).astype(int)
     cells, frame, (across, along) = density_margin[:, 0], np.arange(len(inside))[:, None], position - first
     upper, lower = (cells[frame, row, left] * (1 - across) + cells[frame, row, right] * across for row in (top, below))
-    result: Array = (upper * (1 - along) + lower * along > 0) & inside
-    return result
+    return (upper * (1 - along) + lower * along > 0) & inside

@@ -20,6 +20,8 @@ Array = NDArray[Any]
 # Batch size of the graphs that process a subset of the points, and largest number of points that a stream searches for
 # in one round of lost-point recovery.
 ROWS = 64
+# Graphs that take any number of points. Their time falls with it, and only a part of the points is in contact.
+ANY_NUMBER = ("track_few", "fields", "fields_entered", "fit")
 # As integers: NumPy compares an array with a member of an enumeration by calls of Python.
 TRACKED = int(TrackStatus.TRACKED)
 _UNCERTAIN, _OFF_NEIGHBOURS = int(TrackStatus.UNCERTAIN), int(TrackStatus.OFF_NEIGHBOURS)
@@ -175,11 +177,10 @@ def noise_of(engine: Engine, image: Images) -> float:
 
 
 _T = TypeVar("_T")
-_RECENT = 4  # number of arrays whose values are kept
 
 
 class Recent(Generic[_T]):
-    """Cache of what a function computes of the arrays of its latest calls, which are known by identity and must not
+    """Cache of what a function computes of the arrays of its latest four calls, known by identity, which must not
     change.
     """
 
@@ -193,7 +194,7 @@ class Recent(Generic[_T]):
             if known is array:
                 return value
         value = self._compute(array)
-        self._values = ((array, value), *self._values[: _RECENT - 1])
+        self._values = ((array, value), *self._values[:3])
         return value
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import (
+    ANY_NUMBER,
     ROWS,
     TRACKED,
     Array,
@@ -31,6 +32,7 @@ from fingerflow.kernels.tracking_limits import ROUNDS, SPEED_FRAMES, SPEED_WEIGH
 
 _TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))
 _LEAST_POINTS = 256  # smallest number of points of a graph that is exported for the points at hand
+_STEP = 32  # points; ONNX Runtime plans its memory once for each size
 
 
 class _KeyFrame:
@@ -76,8 +78,8 @@ class GraphEngine:
     Args:
         sessions: of the graphs, by name, with the interface of `sessions.GraphSession`.
         settings: with which the graphs were built.
-        points: number of points for which they were exported, to which inputs are padded; None pads them to a power of
-            two, for sessions that take any number.
+        points: number of points for which they were exported, to which inputs are padded, but for graphs that take any
+            number; None pads them to a power of two, for sessions that take any number.
         described: name of the engine, with the provider or the device.
     """
 
@@ -93,6 +95,8 @@ class GraphEngine:
     ) -> None:
         self.settings, self.described, self.name = settings, described, described.partition(" ")[0]
         self._sessions, self._points = sessions, points
+        # Execution providers of other devices prepare a graph again for each number of points.
+        self._any_number = bool(points) and described.endswith("(CPUExecutionProvider)")
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         self._light, self._support = Recent(self._light_inputs), Recent(self._support_inputs)
         self._neighbours = Recent(self._neighbour_inputs)
@@ -201,7 +205,7 @@ class GraphEngine:
         """Return the inputs of the graph `outliers` that depend only on the positions (N, 2) in the key frame."""
         points, outliers = self._size(len(start)), self._sessions["outliers"]
         number, x, y, within = (
-            array[None, :, :points] for array in find_neighbours(padded(start, points, 0), WARP_GAUGE_PX)
+            array[None, :, :points] for array in find_neighbours(padded(start[None], points)[0], WARP_GAUGE_PX)
         )
         parts = {"number": number, "offset": np.stack((x, y), axis=-1), "within": within}
         return {f"neighbour_{name}": outliers.kept(f"neighbour_{name}", part) for name, part in parts.items()}
@@ -224,7 +228,8 @@ class GraphEngine:
         self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
     ) -> tuple[Array, Array | None]:
         noise = np.zeros(values.shape[:2], np.float32) if variance is None else variance
-        inputs = self._pad_points(reference=points[None], displacement=values, variance=noise, queries=queries[None])
+        inputs = self._pad_points(self._known(values), reference=points[None], displacement=values, variance=noise)
+        inputs |= self._pad_points(slice(None), queries=queries[None])
         outputs = self._sessions["fit"]({**inputs, "gauge_length": np.array([gauge], np.float32)})
         gradient, covariance = (outputs[name][:, : len(queries)] for name in ("gradient", "covariance"))
         return gradient, None if variance is None else covariance
@@ -237,22 +242,27 @@ class GraphEngine:
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        count = len(reference)
+        known = self._known(displacement)
+        rows = np.where(known, known.cumsum() - 1, -1)  # of unknown points the last row, which is padding
 
-        def spread(covariance: Array | None, *shape: int) -> Array | None:
+        def spread(values: Array, given: Array | None) -> Array | None:
             """Return a covariance; 0 in place of None where graphs have fixed shapes, which leave out no input."""
-            return np.zeros(shape, np.float32) if covariance is None and self.fixed else covariance
+            return np.zeros((*values.shape, *values.shape[2:]), np.float32) if given is None and self.fixed else given
 
         arrays: dict[str, Array | None] = {"reference": reference[None], "displacement": displacement}
-        arrays["covariance"] = spread(covariance, *displacement.shape, 2)
+        arrays["covariance"] = spread(displacement, covariance)
         if entered is not None:
             arrays |= {"among": entered.among, "gradient": entered.gradient}
-            arrays["gradient_covariance"] = spread(entered.covariance, *entered.gradient.shape, 2, 2)
-        inputs = self._pad_points(**arrays) | {f"ellipse_{name}": part for name, part in ellipse._asdict().items()}
+            arrays["gradient_covariance"] = spread(entered.gradient, entered.covariance)
+        inputs = self._pad_points(known, **arrays) | {f"ellipse_{key}": part for key, part in ellipse._asdict().items()}
         outputs = self._sessions["fields" if entered is None else "fields_entered"](inputs)
         for name in ("divergence", "curl", "strain", "shear", "divergence_std", "curl_std"):
-            outputs[name] = None if name.endswith("std") and covariance is None else outputs[name][:, :count]
+            outputs[name] = None if name.endswith("std") and covariance is None else outputs[name][:, rows]
         return FrameFields(**outputs | ({"median_std": None} if covariance is None else {}))
+
+    def _known(self, values: Array) -> Array:
+        """Return a mask (N,) of the points that the graphs of a bundle need: those with values (1, N, C)."""
+        return np.isfinite(values[0]).all(1) if self._points else np.ones(values.shape[1], bool)
 
     def _in_pieces(self, name: str, of_points: dict[str, Array], shared: dict[str, Any]) -> dict[str, Array]:
         """Run a graph of fixed size on a few points at a time, and return the concatenated outputs (1, n, ...).
@@ -264,34 +274,41 @@ class GraphEngine:
             return session({**shared, **of_points})
         pieces = []
         for first in range(0, max(count, 1), ROWS):
-            piece = {key: padded(array[:, first : first + ROWS], ROWS) for key, array in of_points.items()}
+            size = self._size(min(count - first, ROWS), True) if self._any_number and name in ANY_NUMBER else ROWS
+            piece = {key: padded(array[:, first : first + ROWS], size) for key, array in of_points.items()}
             pieces.append(session({**shared, **piece}))
         return {key: np.concatenate([piece[key] for piece in pieces], axis=1)[:, :count] for key in pieces[0]}
 
-    def _size(self, count: int) -> int:
-        """Return the number of points to which the inputs of a graph of `count` points are padded."""
+    def _size(self, count: int, free: bool = False) -> int:
+        """Return the number of points to which the inputs of a graph of `count` points are padded: at least one more if
+        the graph takes any number (`free`).
+        """
+        if free and self._any_number:
+            return (count // _STEP + 1) * _STEP
         return (self._points or max(_LEAST_POINTS, 1 << (count - 1).bit_length())) if self.fixed else count
 
-    def _pad_points(self, **arrays: Array | None) -> dict[str, Array | None]:
-        """Pad arrays (1, n, ...) to the points of the graphs, with NaN, or 0 for integers."""
-        return {
-            name: None if array is None else padded(array, self._size(array.shape[1])) for name, array in arrays.items()
-        }
+    def _pad_points(self, known: Any = None, **arrays: Array | None) -> dict[str, Array | None]:
+        """Pad arrays (1, n, ...) to the points of a graph, with NaN, or 0 for integers; those of the points `known`, if
+        they are given, to the points of a graph that takes any number.
+        """
+        for name, array in arrays.items():
+            if array is not None:
+                part = array if known is None else array[:, known]
+                arrays[name] = padded(part, self._size(part.shape[1], known is not None))
+        return arrays
 
 
-def padded(array: Array, points: int, axis: int = 1) -> Array:
-    """Pad an array to `points` entries along an axis, with NaN for floating point, else 0.
+def padded(array: Array, points: int) -> Array:
+    """Pad an array (1, n, ...) to `points` points, with NaN for floating point, else 0.
 
     Raises FingerflowError if it has more.
     """
-    missing = points - array.shape[axis]
+    missing = points - array.shape[1]
     if not missing:
         return array
     if missing < 0:
         raise FingerflowError(
-            f"{array.shape[axis]} points are given, the bundle was exported for {points}; export it again"
+            f"{array.shape[1]} points are given, the bundle was exported for {points}; export it again"
         )
-    shape = list(array.shape)
-    shape[axis] = missing
     nothing = np.nan if array.dtype.kind == "f" else 0
-    return np.concatenate((array, np.full(shape, nothing, array.dtype)), axis=axis)
+    return np.concatenate((array, np.full((len(array), missing, *array.shape[2:]), nothing, array.dtype)), axis=1)

@@ -251,5 +251,4 @@ def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
 
 def _root(variance: Array) -> Array:
     """Return the square roots of variances; a variance that rounding made negative counts as zero."""
-    result: Array = np.sqrt(np.maximum(variance, 0))
-    return result
+    return np.sqrt(np.maximum(variance, 0))

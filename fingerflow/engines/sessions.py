@@ -19,7 +19,6 @@ CPU = "cpu"
 _SUFFIX = "ExecutionProvider"
 _REMOTE = "AzureExecutionProvider"  # runs models on a remote server, not on this computer
 _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
-_DTYPES = ("float32", "uint8", "uint16", "int32", "int64", "bool")
 log = logging.getLogger("fingerflow.engines")
 
 
@@ -30,12 +29,12 @@ class GraphSession:
         device: in whose memory inputs are kept, "cpu" or "cuda".
 
     Attributes:
-        inputs: shapes and dtypes by name.
+        inputs: shapes and dtypes by name; no shape where it has a free size.
     """
 
     def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
         self._session, self._path, self._device = session, path, device
-        self.inputs = {value.name: _fixed_size(value, path) for value in session.get_inputs()}
+        self.inputs = {value.name: _size(value) for value in session.get_inputs()}
         self._names = [output.name for output in session.get_outputs()]
 
     def __call__(self, values: Mapping[str, Any]) -> dict[str, Array]:
@@ -68,7 +67,7 @@ class GraphSession:
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]
-        if array.shape != shape or (dtype.kind == "u" and not np.can_cast(array.dtype, dtype, "safe")):
+        if (shape and array.shape != shape) or (dtype.kind == "u" and not np.can_cast(array.dtype, dtype, "safe")):
             raise ValueError(f"{self._path}: {name} is {array.dtype} {array.shape}, the graph takes {dtype} {shape}")
         return np.ascontiguousarray(array, dtype)
 
@@ -112,9 +111,8 @@ def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int =
     sessions = {}
     for name, path in files.items():
         session = _open_session(path, provider, full, threads)
-        properties = session.get_modelmeta().custom_metadata_map
-        if properties.get("fingerflow.graph") != name:
-            found = properties.get("fingerflow.graph", "no fingerflow metadata")
+        found = session.get_modelmeta().custom_metadata_map.get("fingerflow.graph", "no fingerflow metadata")
+        if found != name:
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
         sessions[name] = GraphSession(session, path, "cuda" if provider in _ON_GPU else CPU)
     return sessions
@@ -150,12 +148,9 @@ def _share_memory() -> None:
     ort.create_and_register_allocator(ort.OrtMemoryInfo("Cpu", *kinds), None)
 
 
-def _fixed_size(argument: Any, path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and the dtype of an input of a graph."""
-    dtype = argument.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32")
-    if not all(isinstance(size, int) for size in argument.shape) or dtype not in _DTYPES:
-        raise FingerflowError(
-            f"{path}: {argument.name} is {argument.type} {argument.shape}; the engine needs fixed sizes: export the "
-            "bundle with them"
-        )
-    return tuple(argument.shape), np.dtype(dtype)
+def _size(argument: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and the dtype of an input of a graph; an empty shape, which ONNX Runtime checks, if a size of it
+    is free.
+    """
+    shape = tuple(argument.shape) if all(isinstance(size, int) for size in argument.shape) else ()
+    return shape, np.dtype(argument.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32"))

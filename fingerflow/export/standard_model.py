@@ -19,7 +19,7 @@ _CONTROL_FLOW = {"Loop", "If", "Scan"}
 
 
 def standard_model(
-    module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
+    module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str], free: bool = False
 ) -> Any:
     """Convert a torch module to an `onnx.ModelProto` of standard operators.
 
@@ -29,6 +29,7 @@ def standard_model(
         module: without data-dependent branches.
         tensors: example inputs; sizes are fixed to theirs.
         inputs, outputs: their names.
+        free: leave the number of points free: the second size of every input in which it is larger than two.
 
     Raises:
         FingerflowError: the module needs operators that are not standard, or control flow.
@@ -36,6 +37,7 @@ def standard_model(
     import onnxscript.optimizer
 
     keep_operators()
+    sizes = tuple({1: torch.export.Dim.DYNAMIC} if each.shape[1:2] > (2,) else None for each in tensors)
     with _quiet():
         program = torch.onnx.export(
             module,
@@ -44,6 +46,7 @@ def standard_model(
             opset_version=OPSET,
             input_names=list(inputs),
             output_names=list(outputs),
+            dynamic_shapes=(sizes,) if free else None,
             optimize=False,
             verbose=False,
         )

@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from fingerflow import __version__
 from fingerflow.engines.check import Difference, built_in, check_engine, expected_of, numbers_of
+from fingerflow.engines.engine import ANY_NUMBER
 from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.sessions import open_sessions
 from fingerflow.engines.torch import TorchEngine
@@ -102,17 +103,16 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, tensors: tuple[Te
     import onnx
 
     # Clone the inputs: the exporter would merge two inputs that are the same tensor.
-    model = standard_model(graph, tuple(tensor.clone() for tensor in tensors), graph.inputs, graph.outputs)
+    model = standard_model(graph, tuple(map(torch.clone, tensors)), graph.inputs, graph.outputs, name in ANY_NUMBER)
     model.producer_name, model.producer_version = "fingerflow", __version__
     model.graph.name = f"fingerflow.{name}"
-    digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()
     facts = {
         "version": __version__,
         "graph": name,
         "recipe": json.dumps(asdict(recipe)),
         "units": json.dumps({name: UNITS[name] for name in (*graph.inputs, *graph.outputs)}),
         "coordinates": COORDINATES,
-        "hash": digest,
+        "hash": hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest(),
     }
     onnx.helper.set_model_props(model, {f"fingerflow.{key}": value for key, value in facts.items()})
     onnx.checker.check_model(model, full_check=True)

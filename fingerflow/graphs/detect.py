@@ -83,11 +83,9 @@ class DetectGraph(nn.Module):
         chosen = rank.flatten(1).topk(count, dim=1).indices
         falling = corners.flatten(1).gather(1, chosen).topk(count, dim=1)
         index = chosen.gather(1, falling.indices)
-        row = (index // (right - left) + top).to(self.precision)
-        column = (index % (right - left) + left).to(self.precision)
+        points = torch.stack((index % (right - left) + left, index // (right - left) + top), dim=2).to(self.precision)
         missing = falling.values <= 0
-        points = torch.stack((column, row), dim=2).masked_fill(missing[..., None], torch.nan)
-        return points, falling.values.masked_fill(missing, torch.nan)
+        return points.masked_fill(missing[..., None], torch.nan), falling.values.masked_fill(missing, torch.nan)
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:

@@ -96,8 +96,7 @@ def _point_graphs(settings: EngineSettings) -> _Described:
         return tuple(key(view, points, noise))
 
     def renew(spline: Tensor, noise: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
-        window, gain_offset = settings.window_px, settings.gain_offset
-        return tuple(renew_templates(spline, noise, points, window, warp, gain_offset=gain_offset))
+        return tuple(renew_templates(spline, noise, points, settings.window_px, warp, gain_offset=settings.gain_offset))
 
     def find(*inputs: Tensor) -> tuple[Tensor, ...]:
         return tuple(track(Templates(*inputs[:3]), *inputs[3:]))

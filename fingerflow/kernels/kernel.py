@@ -320,8 +320,7 @@ def threads() -> int:
     Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
     """
     torch = sys.modules.get("torch")
-    count: int = (_threads or _lent_threads()) if torch is None else torch.get_num_threads()
-    return count
+    return (_threads or _lent_threads()) if torch is None else torch.get_num_threads()
 
 
 def set_threads(count: int) -> None:

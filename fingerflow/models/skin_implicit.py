@@ -79,8 +79,7 @@ class Arrow:
         return np.concatenate((elements - self._solved_column @ bone, bone)).reshape(-1, 2)
 
     def _banded(self, sides: Array) -> Array:
-        solved: Array = dgbtrs(self._factors[0], 2, 2, sides, self._factors[1])[0]
-        return solved
+        return dgbtrs(self._factors[0], 2, 2, sides, self._factors[1])[0]
 
 
 def net_forces(chain: Chain, state: State, load: Array) -> Array:

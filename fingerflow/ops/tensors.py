@@ -29,6 +29,17 @@ def sum_rows(values: Tensor) -> Tensor:
     return values.new_ones(1, values.shape[-2]) @ values
 
 
+def scalar_products(left: Tensor, right: Tensor) -> Tensor:
+    """Return the scalar products (B, K, L) of K and L vectors of M elements, (B, K, M) and (B, L, M).
+
+    An exported graph multiplies a matrix with one vector at a time: ONNX runtimes pack the factors of a product of
+    two matrices, which takes twice the time where K and L are small.
+    """
+    if torch.compiler.is_exporting():
+        return (left[:, None] @ right[..., None]).squeeze(3).mT
+    return left @ right.mT
+
+
 def symmetric(three: Tensor) -> Tensor:
     """Return symmetric 2 x 2 matrices (B, 2, 2, Q), given the elements xx, xy and yy (B, 3, Q)."""
     xx, xy, yy = three.split(1, dim=1)

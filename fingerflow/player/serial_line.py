@@ -69,8 +69,7 @@ class WindowsLine:
         data.
         """
         # With a larger size pyserial would wait until so many bytes have arrived.
-        data: bytes = self._port.read(min(size, max(1, self._port.in_waiting)))
-        return data
+        return self._port.read(min(size, max(1, self._port.in_waiting)))
 
 
 SerialLine = PosixLine | WindowsLine

@@ -112,8 +112,7 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
         light, black = glass_light(inputs.reference(view), inputs.dark(view))
         limit = 1 - torch.full((1,), threshold, dtype=light.dtype)
         contact = graph(inputs.contact_view(counts), light, black, limit)
-    mask: NDArray[np.bool_] = contact.real_contact_mask[0, 0].numpy()
-    return mask
+    return contact.real_contact_mask[0, 0].numpy()
 
 
 def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:

@@ -61,8 +61,7 @@ class ViewPainter:
             self._levels[number] = (float(np.percentile(part, 0.5)), float(np.percentile(part, 99.8)))
         low, high = self._levels[number]
         grey = np.clip((part - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
-        result: Picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
-        return result
+        return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
 
     def _points(self, part: Picture, frame: int, matrix: NDArray[np.float64], arrow_scale: float) -> None:
         if "position" not in self._result:

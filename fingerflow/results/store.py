@@ -267,8 +267,7 @@ class _Stored:
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         frames, step = self._consecutive(index)
-        read: NDArray[Any] = self._variable[frames][::step]
-        return read
+        return self._variable[frames][::step]
 
     def __setitem__(self, index: Any, values: Any) -> None:
         frames, step = self._consecutive(index)

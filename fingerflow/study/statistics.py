@@ -112,8 +112,7 @@ def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
         statistics["shares"] = _corrected(shares)
         statistics["force_rate"] = _force_rate_rows(trials)
         statistics["observer"] = _observed(trials, resamples)
-    plain: dict[str, Any] = json_value(statistics)
-    return plain
+    return json_value(statistics)
 
 
 def holm(p: Mapping[str, float]) -> dict[str, float]:

@@ -41,8 +41,7 @@ class Camera:
     @property
     def full_range(self) -> int:
         """Return the camera's largest grey level."""
-        result: int = 2**self.bit_depth - 1
-        return result
+        return 2**self.bit_depth - 1
 
     @property
     def levels(self) -> float:

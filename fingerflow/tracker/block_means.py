@@ -114,8 +114,7 @@ def strip_differences(frames: Array, apart: int) -> Array:
     Pixels are in units of their mean, 0.5 at least and 1.5 at most: salt and pepper have little weight.
     """
     if is_present() and KINDS[frames.dtype] in FRAME_KINDS:
-        squared: Array = compiled("strip_differences")(frames=frames[:, None], apart=apart)
-        return squared
+        return compiled("strip_differences")(frames=frames[:, None], apart=apart)
     result = []
     for across in (frames.swapaxes(1, 2), frames):
         first = np.arange(0, max(across.shape[1] - _PERIOD - 1, 1), _PERIOD * (across.shape[1] // (8 * _PERIOD) | 1))

@@ -46,8 +46,7 @@ def displacement_medians(
     points = {"position": position, "displacement": displacement, "variance": variance, "ellipses": ellipses}
     if is_present():
         area = {"lattice": limits.lattice(), "least_share": limits.LEAST_SHARE, "beside": limits.REACH}
-        result: tuple[Array, Array] = compiled("displacement_medians")(**points, **area, reach=reach, border=BORDER_MM)
-        return result
+        return compiled("displacement_medians")(**points, **area, reach=reach, border=BORDER_MM)
     medians, deviations = np.full((2, len(position), 2), np.nan)
     for frame in range(len(position)):
         medians[frame], deviations[frame] = _of_frame(

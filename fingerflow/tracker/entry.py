@@ -130,8 +130,7 @@ def variance_of_late(late: Array) -> Array:
     """Return the variances (2, N) of divergence and curl by an uncertain time of entry, from the errors `late`
     (N, 2, 2) of the displacement gradients by one standard deviation of this time.
     """
-    result: Array = np.square((late[:, 0, 0] + late[:, 1, 1], late[:, 1, 0] - late[:, 0, 1]))
-    return result
+    return np.square((late[:, 0, 0] + late[:, 1, 1], late[:, 1, 0] - late[:, 0, 1]))
 
 
 def join_entered(frames: list[EnteredPoints | None]) -> EnteredPoints | None:

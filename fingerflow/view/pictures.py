@@ -39,5 +39,4 @@ class Pictures:
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)
         grey = (shown.astype(np.float32) - self._low) * self._scale
-        result: NDArray[np.uint8] = np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)
-        return result
+        return np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)

@@ -252,8 +252,7 @@ class Results:
         """Return the stored values of a variable in the frame at an index of the result."""
         if name not in self._stored:
             self._stored[name] = self._file[name]
-        row: NDArray[Any] = self._stored[name][frame]
-        return row
+        return self._stored[name][frame]
 
     def _component(self, key: str, dims: tuple[Hashable, ...], values: NDArray[Any]) -> Values:
         part, last = key.partition(":")[2], str(dims[-1]) if dims else ""

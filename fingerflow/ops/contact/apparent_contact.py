@@ -18,7 +18,7 @@ from fingerflow.kernels.result_records import FrameContact
 from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
-from fingerflow.ops.tensors import constant_like, half_angle
+from fingerflow.ops.tensors import constant_like, half_angle, scalar_products
 
 _compiled: Twin[tuple[Tensor, Tensor]] = twin("apparent_contact")
 _PART = 32  # cells of a line smoothed by one matrix product
@@ -90,22 +90,22 @@ def _region(cells: Tensor, radius: int, side: int) -> tuple[Tensor, ...]:
 
     def shares(limit: Tensor | float, weights: Tensor) -> Tensor:
         """Return the shares (B, 1, 1, n) of the region above the density `limit` that ridges (the real contact mask)
-        cover, one for each of n sets of cell weights (B, h w, n).
+        cover, one for each of n sets of cell weights (B, n, h, w).
         """
         part = inside(limit)
         # The pattern in a border cell is taken to lie entirely in the part inside, as far as that can hold it.
-        sums = torch.cat((torch.minimum(cells, part), part), dim=1).flatten(2) @ weights  # one product for all of them
+        sums = scalar_products(torch.cat((torch.minimum(cells, part), part), dim=1).flatten(2), weights.flatten(2))
         return (sums[:, :1] / sums[:, 1:].clamp_min(1e-3)).clamp(sizes.LEAST_SHARE, 1.0)[:, None]
 
     alike = torch.ones_like(cells)
     limit: Tensor | float = 0.25
     for _ in range(sizes.FIRST_ROUNDS):
-        inner = shares(limit, alike.flatten(1)[..., None])
+        inner = shares(limit, alike)
         limit = inner / 2
     solid = (inner - sizes.SOLID).clamp_min(0).sign()
     for _ in range(sizes.BORDERS):
         part = inside(limit)
-        filled = _enclosed(_main_component((density - limit).clamp_min(0).sign(), density))
+        filled = _enclosed(_main_component(_above(density, limit), density))
         # The outer border: what lies beyond the frame, or in a hole, is no rim.
         border = part * (1 - part) * largest_around(filled) * largest_around(1 - filled)
         # At a convex border the smoothed region itself is below one half.
@@ -114,13 +114,13 @@ def _region(cells: Tensor, radius: int, side: int) -> tuple[Tensor, ...]:
         # Weights of cells fall off with the distance from the border, smoothed on blocks of 2 x 2 cells.
         halved = cell_means(border, 2, border.dtype)
         falling = (enlarge(_smooth(halved, band), 2)[..., : cells.shape[2], : cells.shape[3]] for band in bands)
-        weights = torch.cat((*falling, alike), dim=1).flatten(2).mT.contiguous()
+        weights = torch.cat((*falling, alike), dim=1)
         for _ in range(sizes.ROUNDS):
             near, far, everywhere = shares(limit, weights).split(1, dim=3)
             rim = (near * (near / far) ** sizes.THINNING).clamp(sizes.LEAST_SHARE, 1.0)
             limit = (solid * everywhere + (1 - solid) * rim) * level
     part = inside(limit)
-    whole = (density - limit).clamp_min(0).sign()
+    whole = _above(density, limit)
     filled = _enclosed(_main_component(whole, density))
     # Border cells count by their fraction inside, including those just outside.
     near = largest_around(filled)
@@ -142,7 +142,7 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
     density, and those of a narrow and a wide band along the border, for blocks of 2 x 2 cells.
     """
     # A traced graph computes the matrices on its device; else they are cached.
-    traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
+    traced = torch.compiler.is_compiling()
 
     def matrix(side: int, wide: float) -> Tensor:
         if traced:
@@ -185,6 +185,15 @@ def _smoothing_matrix(side: int, width: float, device: torch.device) -> Tensor:
 
 
 _kept_boxes = functools.lru_cache(16)(_smoothing_matrix)
+
+
+def _above(values: Tensor, limit: Tensor | float) -> Tensor:
+    """Return 1 where `values` exceed `limit`, else 0, in the dtype of the values.
+
+    The factor makes every difference of two densities larger than 1. Comparisons are slow in torch, and signs in ONNX
+    runtimes.
+    """
+    return ((values - limit) * 2.0**100).clamp(0.0, 1.0)
 
 
 def _slope(density: Tensor) -> Tensor:

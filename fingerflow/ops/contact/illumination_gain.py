@@ -9,6 +9,7 @@ from torch import Tensor
 from fingerflow.kernels import contact_sizes as sizes
 from fingerflow.kernels.contact_sizes import block_of
 from fingerflow.kernels.tensors import Twin, twin
+from fingerflow.ops.tensors import finite
 
 _compiled: Twin[Tensor] = twin("illumination_gain")
 
@@ -42,28 +43,25 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
     if lines.shape[2] < block // sizes.LINE_STEP or lines.shape[3] < block:
         return torch.full(frames.shape[:1], torch.nan, dtype=dtype, device=light.device)
     if frames.is_floating_point():
-        finite = lines.abs() < torch.inf
-        lines, empty = torch.where(finite, lines, 0.0), torch.where(finite, empty, 0.0)
-    lit = (empty > 0).to(dtype)
-    passed = torch.addcmul(-dark * lit, lines.to(dtype), lit)
-    return _uppermost_mode(_blocks(passed, block), _blocks(empty, block))
+        lines, empty = (torch.where(finite(lines), image, 0.0) for image in (lines, empty))
+    passed = (lines.to(dtype) - dark) * (empty > 0).to(dtype)
+    return _uppermost_mode(*_blocks(passed, block), *_blocks(empty, block))
 
 
-def _blocks(lines: Tensor, block: int) -> Tensor:
+def _blocks(lines: Tensor, block: int) -> list[Tensor]:
     """Return, for each of N square blocks of a frame, `block` px wide, the sum of the pixel values and the sum of their
-    squares, (B, 2, N).
+    squares, (B, N) each.
 
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """
     height, width = lines.shape[-2:]
     rows = block // sizes.LINE_STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
-    down = torch.cat((cut, cut * cut), dim=1).unflatten(2, (-1, rows)).sum(3)
-    return down.unflatten(3, (-1, block)).sum(4).flatten(2)
+    blocks = (values.unflatten(2, (-1, rows)).sum(3).unflatten(3, (-1, block)) for values in (cut, cut * cut))
+    return [values.sum(4).flatten(1) for values in blocks]
 
 
-def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:
-    (passed, passed_squared), (light, light_squared) = passed_sums.unbind(1), light_sums.unbind(1)
+def _uppermost_mode(passed: Tensor, passed_squared: Tensor, light: Tensor, light_squared: Tensor) -> Tensor:
     lit = light > sizes.LIT * light.amax(1, keepdim=True)
     quotient = torch.where(lit, passed / torch.where(lit, light, 1.0), 0.0)
     variance = passed_squared / torch.where(lit, light_squared, 1.0) - quotient * quotient

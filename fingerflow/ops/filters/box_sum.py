@@ -23,14 +23,13 @@ def _line_sum(values: Tensor, size: int, axis: int) -> Tensor:
     """Sum windows of `size` neighbours along one axis, from sums over powers of two (the binary digits of `size`)."""
     length = values.shape[axis] - size + 1
     total, start, span = None, 0, 1
-    while True:
+    while 2 * span <= size:
         if size & span:
             part = values.narrow(axis, start, length)
             total = part if total is None else total + part
             start += span
-        if 2 * span > size:
-            assert total is not None
-            return total
-        reach = values.shape[axis] - span
-        values = values.narrow(axis, 0, reach) + values.narrow(axis, span, reach)
+        # The largest power of two is summed only where a window ends with it.
+        first, reach = (start, length) if 4 * span > size else (0, values.shape[axis] - span)
+        values = values.narrow(axis, first, reach) + values.narrow(axis, first + span, reach)
         span *= 2
+    return values if total is None else total + values

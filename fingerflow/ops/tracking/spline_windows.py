@@ -31,8 +31,7 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     # Copy uint8 without conversion, which takes a quarter of the memory.
     border = max(MARGIN + 2, side - min(view.shape[-2:]))  # a window that was found inside may need a pixel outside
     exporting = torch.compiler.is_exporting()
-    few = not exporting or center.shape[2] * side * side < view.shape[2] * view.shape[3]
-    plane = bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
+    plane = bordered(view if view.dtype == torch.uint8 else view.to(dtype), border)
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
     # Clamp as floats, since ONNX runtimes need two nodes to clamp integers.

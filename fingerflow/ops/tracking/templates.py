@@ -34,7 +34,7 @@ from fingerflow.ops.checks import check_frames, check_pixels
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
-from fingerflow.ops.tensors import components_first, finite, sum_rows
+from fingerflow.ops.tensors import components_first, finite, scalar_products, sum_rows
 from fingerflow.ops.tracking.spline_windows import (
     along_x,
     along_y,
@@ -130,8 +130,8 @@ def renew_templates(
     """
     dtype = coefficients.dtype
     inverse, variance = inverse_2x2(warp.to(dtype)), noise.to(dtype).square()
-    settings = {"gain_offset": gain_offset, "variance": variance, "rounding": ROUNDING}
-    return _sample_templates(coefficients, points.to(dtype), inverse, window, **settings)
+    given = coefficients, points.to(dtype), inverse, window
+    return _sample_templates(*given, gain_offset=gain_offset, variance=variance, rounding=ROUNDING)
 
 
 def _sample_templates(coefficients: Tensor, points: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
@@ -392,10 +392,12 @@ def _step(
     # `.value`: the compiler does not terminate if an index is a member of an enumeration.
     free, energy, level = of[Number.GAIN.value], of[Number.ENERGY.value], of[Number.LEVEL.value]
     center = guess.round()
-    patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
+    patches = cut_patches(current, center, window, dtype)
 
-    matched = cut_windows((guess - center).transpose(1, 2).flatten(0, 1), patches, window)
-    tm, by_slopes = _times(templates.samples, matched).split((1, 2), dim=1)
+    matched = cut_windows((guess - center).transpose(1, 2).flatten(0, 1), patches, window) - level.reshape(-1, 1)
+    # Scalar products of a window with the grey levels and with both slopes of its template.
+    products = scalar_products(templates.samples.flatten(0, 1), matched[:, None])
+    tm, by_slopes = components_first(products.reshape(len(start), -1, 3)).split((1, 2), dim=1)
     m1 = matched.sum(1).reshape(known_guess.shape)
     samples = window * window
     explaining = tm * tm / energy.clamp_min(_TINY)
@@ -437,8 +439,7 @@ def _step(
         (TrackStatus.NOT_FINITE, known_guess),
     ):
         status = torch.where(fine, status, int(reason))
-    tracked = status == 0
-    lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added: faster in ONNX runtimes than torch.where
+    lost = torch.where(status == 0, 0.0, torch.nan).to(dtype)  # added: faster in ONNX runtimes than torch.where
     spread = numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(finite(last), guess - last.clamp(-limits.REACH, limits.REACH), guess)
@@ -465,17 +466,6 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
     # The summed axis is contiguous in both factors: a third of the time in torch.
     weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)))
     return components_first((left * left @ weights.mT).unflatten(0, samples.shape[:2]))
-
-
-def _times(samples: Tensor, windows: Tensor) -> Tensor:
-    """Return the scalar products (B, 3, N) of a window of the frame with the three rows of samples of each template:
-    grey levels, and slopes in x and in y.
-
-    Samples are (B, N, 3, m), windows (B N, ...) of m samples.
-    """
-    batch, count = samples.shape[:2]
-    rows = windows.reshape(-1, 1, samples.shape[3])
-    return components_first((rows @ samples.flatten(0, 1).mT).reshape(batch, count, 3))
 
 
 def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:

@@ -74,8 +74,7 @@ def open_camera(camera: str | Callable[[], Any]) -> Source:
     name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")
     if isinstance(camera, str):
         if camera.partition(":")[0] in kinds(_SOURCES):
-            source: Source = open_address(_SOURCES, "camera", camera)
-            return source
+            return open_address(_SOURCES, "camera", camera)
         try:
             camera = load_callable(camera)
         except PlayerError as error:

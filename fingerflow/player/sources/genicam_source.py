@@ -62,8 +62,7 @@ class GenICamCamera:
             except Exception:  # each producer has its own exception
                 self.stamp = math.nan
             # Copy the frame: the camera writes into the buffer again once it is given back.
-            frame: Array = picture.data.reshape(picture.height, picture.width).copy()
-            return frame
+            return picture.data.reshape(picture.height, picture.width).copy()
 
     def close(self) -> None:
         """Stop and release the camera, and reset its GenTL producer."""

@@ -32,8 +32,7 @@ class OpenCvCamera:
             raise OSError("the camera gave no frame")
         stamp = self._capture.get(self._cv2.CAP_PROP_POS_MSEC) / 1e3
         self.stamp = stamp if stamp > 0 else math.nan  # 0 and -1 mean that the camera has no stamp
-        grey: Array = self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
-        return grey
+        return self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
 
     def close(self) -> None:
         """Close the camera."""

@@ -286,8 +286,7 @@ class _Pixels:
         values = np.frombuffer(plane, self.stored).reshape(self.shape[0], -1)
         if self.name in PACKED_LUMA:
             values = values[:, PACKED_LUMA[self.name]]
-        result: Frames = (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
-        return result
+        return (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
 
 
 @contextmanager

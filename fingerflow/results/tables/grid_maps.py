@@ -94,8 +94,7 @@ def _axis(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     if not 0 < step < np.inf:
         raise FingerflowError(f"a step of {step:g} mm gives no grid; give one above 0, such as 0.1")
     first, last = np.floor(values.min() / step), np.ceil(values.max() / step)
-    result: NDArray[np.float64] = np.arange(first, last + 1) * step
-    return result
+    return np.arange(first, last + 1) * step
 
 
 def _interpolate_points(

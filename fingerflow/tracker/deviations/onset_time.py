@@ -108,5 +108,4 @@ def _crossing_variance(frames_per_mm: Array) -> Array:
     for a millimetre.
     """
     rough = BORDER_MM * frames_per_mm
-    result: Array = (ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
-    return result
+    return (ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)

@@ -380,8 +380,7 @@ class DeformationStage(Stage):
 
     def steady_position(self, indices: NDArray[np.intp]) -> Points:
         """Return the positions (n, N, 2) mm of the points in n frames, without the vibration of the image."""
-        position: Points = self.results["position"][indices] - self._shaken[indices, None]
-        return position
+        return self.results["position"][indices] - self._shaken[indices, None]
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:

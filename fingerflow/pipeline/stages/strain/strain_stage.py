@@ -304,8 +304,7 @@ def border_density(
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where((border.inside(positions) < reach_mm) & np.isfinite(density), areas, 0.0)
         total, weight = (values.sum(1, dtype=np.float64) for values in (weights * np.nan_to_num(density), weights))
-        mean: NDArray[np.float64] = total / weight
-    return mean
+        return total / weight
 
 
 def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:
