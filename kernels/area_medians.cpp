@@ -310,7 +310,7 @@ public:
             values.clear();
             for (const Block& block : blocks_)
                 for (int q = 0; q < block.positions; ++q)
-                    if (block.fits.known[q] > 0) values.push_back(block.fits.fields[field][q]);
+                    if (block.fits.known[q] > 0 || block.filled[q]) values.push_back(block.fits.fields[field][q]);
             const double share = static_cast<double>(values.size()) / static_cast<double>(given_.positions);
             *share_ = static_cast<float>(share);
             if (values.empty() || share < given_.least_share) return;
@@ -325,6 +325,7 @@ private:
         int positions;
         AreaPoints points;
         std::int64_t apart[kAreaBlock];  // index of the point with fields of its own that a position takes, or -1
+        bool filled[kAreaBlock];         // whether a position has the fields of its nearest position with a fit
     };
     struct Place {
         float x, y;
@@ -434,6 +435,37 @@ private:
             for (int q = block.positions; q < kAreaBlock; ++q) block.fits.known[q] = 0;
             first += kAreaBlock;
         }
+        fill();
+    }
+
+    // Gives a position without a fit the fields of the nearest position with one. Points end before the border of the
+    // contact, and medians without its rim would be those of the inner part.
+    void fill() {
+        struct Source {
+            float x, y;
+            const Block* block;
+            int q;
+        };
+        std::vector<Source> sources;
+        for (const Block& block : blocks_)
+            for (int q = 0; q < block.positions; ++q)
+                if (block.fits.known[q] > 0) sources.push_back({block.fits.x[q], block.fits.y[q], &block, q});
+        for (Block& block : blocks_)
+            for (int q = 0; q < block.positions; ++q) {
+                block.filled[q] = false;
+                if (block.fits.known[q] > 0) continue;
+                auto nearest = static_cast<float>(given_.same_place * given_.same_place);
+                const Source* from = nullptr;
+                for (const Source& source : sources) {
+                    const float dx = source.x - block.fits.x[q], dy = source.y - block.fits.y[q], distance = dx * dx + dy * dy;
+                    if (!(distance < nearest)) continue;
+                    nearest = distance;
+                    from = &source;
+                }
+                block.filled[q] = from != nullptr;
+                for (int field = 0; field < kAreaFields && block.filled[q]; ++field)
+                    block.fits.fields[field][q] = from->block->fits.fields[field][from->q];
+            }
     }
 
     // Gives a position the fields of its nearest point where that point has fields of its own; unknown where it is too

@@ -28,8 +28,13 @@ LEAST_SHARE = 0.85
 LEAST_RATIO = 0.1
 # Distance from the median, in standard deviations of a fit, up to which a position contributes to the median's error.
 REACH = 2.0
-# Largest distance, in radii of the support, of a position from the nearest point if it takes the fields given there.
+# Largest distance, in radii of the support, of a position from the nearest point or position if it takes the fields
+# known there.
 SAME_PLACE = 0.5
+# A plane fit keeps h1 = 384 J4(k)/k^4 = 1 - k^2/20 of a wave's slope and h0 = 48 J3(k)/k^3 = 1 - k^2/16 of its value, k =
+# pi gauge length / wavelength. Of displacements u + s (u - the fitted u) it keeps h1 (1 + s (1 - h0)), and 1 for long waves
+# if s = 16/20 (twicing, Tukey 1977). White noise of a gradient has 2.2 times the variance then.
+SHARPENED, SHARPENED_NOISE = 0.8, 2.2
 EVEN = 0.4  # ratio of sum w^2 d d' to sum w d d' over a disc, for fit weights w and offsets d
 
 

@@ -12,9 +12,9 @@ from fingerflow.ops.tensors import finite, sum_rows
 
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
-) -> tuple[Tensor, Tensor | None]:
+) -> tuple[Tensor, Tensor | None, Tensor]:
     """Return displacement gradients (B, N, 2, 2) at N points, each from a weighted least-squares plane through the
-    displacements within half a gauge length of the point, and the gradients' covariance.
+    displacements within half a gauge length of the point, the gradients' covariance, and the planes' values (B, N, 2).
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
@@ -29,25 +29,27 @@ def point_gradients(
             (xx, xy), (_, yy) = (row.unbind(-1) for row in covariance.unbind(-2))
             total = total + xy + xx.sqrt() + yy.sqrt()
         total = 0 * total[..., None, None]  # NaN where one is not finite, or a variance negative
-        return fit.gradient + total, None if fit.covariance is None else fit.covariance + total[..., None, None]
+        spread = None if fit.covariance is None else fit.covariance + total[..., None, None]
+        return fit.gradient + total, spread, fit.value + total[..., 0]
     radius = gauge_length / 2
     if not may_branch(reference, displacement, covariance):
         return _gradients(radius, reference, displacement, covariance)
     # Points that are known in no frame are left out.
     index = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
     noise = None if covariance is None else covariance.index_select(1, index)
-    gradient, spread = _gradients(radius, reference.index_select(1, index), displacement.index_select(1, index), noise)
+    known = reference.index_select(1, index), displacement.index_select(1, index)
+    gradient, spread, value = _gradients(radius, *known, noise)
 
     def for_all(values: Tensor) -> Tensor:
         shape = len(values), displacement.shape[1], *values.shape[2:]
         return values.new_full(shape, torch.nan).index_copy(1, index, values)
 
-    return for_all(gradient), None if spread is None else for_all(spread)
+    return for_all(gradient), None if spread is None else for_all(spread), for_all(value)
 
 
 def _gradients(
     radius: float, reference: Tensor, displacement: Tensor, covariance: Tensor | None
-) -> tuple[Tensor, Tensor | None]:
+) -> tuple[Tensor, Tensor | None, Tensor]:
     positions, valid = about_their_mean(reference, radius)
     usable = valid & finite(sum_rows(displacement.mT))
     planes = None
@@ -57,9 +59,11 @@ def _gradients(
         planes = torch.where(usable, planes, 0.0)
     fitted = fit_planes(positions, displacement.mT, positions, usable, radius)
     gradient = torch.where(fitted.known & usable, fitted.gradient, torch.nan).mT.unflatten(2, (2, 2))
+    value = torch.where(fitted.known & usable, fitted.value, torch.nan).mT
     if planes is None:
-        return gradient, None
-    return gradient, gradient_covariance(fitted, positions, planes, radius) + 0 * gradient[..., None, None]
+        return gradient, None, value
+    spread = gradient_covariance(fitted, positions, planes, radius) + 0 * gradient[..., None, None]
+    return gradient, spread, value
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
