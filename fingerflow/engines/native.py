@@ -166,10 +166,7 @@ class NativeEngine:
         median, median_std, known_share = self._medians((reference[None], sharp, noise), ellipse, entered)
         parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
         fields = _fields(parts, self.settings.strain)
-        shear = np.empty((batch, count, 2), np.float32)
-        flat = shear.reshape(-1, 2)
-        np.subtract(parts[0], parts[3], out=flat[:, 0])
-        np.add(parts[1], parts[2], out=flat[:, 1])
+        shear = np.stack((parts[0] - parts[3], parts[1] + parts[2]), axis=-1).reshape(batch, count, 2)
         divergence_std = curl_std = None
         if spread is not None:
             divergence_std, curl_std = _root(np.array((divergence_variance(spread), curl_variance(spread))))
@@ -181,8 +178,8 @@ class NativeEngine:
         self, reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
     ) -> tuple[Array, Array | None, Array]:
         """Fit displacement gradients (K, N, 2, 2) at N points in K frames over the gauge length; return them, their
-        covariance if that of the displacements is given, and the sharpened displacements (`SHARPENED`). Points that were advected into the contact are left out of the
-        fits, and have their own gradients.
+        covariance if that of the displacements is given, and the sharpened displacements (`SHARPENED`). Points that
+        were advected into the contact are left out of the fits, and have their own gradients.
         """
         rest = displacement
         if entered is not None:

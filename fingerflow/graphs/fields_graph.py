@@ -17,7 +17,7 @@ class FieldsGraph(nn.Module):
     """Module that computes divergence, curl and strain from displacements of scattered points, by local fits.
 
     `ops.fields.point_gradients` computes the fields at the points, in reference coordinates;
-    `ops.fields.area_medians` computes the medians over the contact.
+    `ops.fields.area_medians` computes the medians over the contact, of sharpened displacements (`SHARPENED`).
     """
 
     def __init__(self, gauge_length: float, measure: str = "green_lagrange") -> None:
@@ -57,14 +57,10 @@ class FieldsGraph(nn.Module):
         median = median_std = known_share = None
         if ellipse is not None:
             added = SHARPENED * (rest - fitted)
+            points = reference, displacement + torch.where(finite(added), added, 0.0), ellipse
+            noise = None if covariance is None else SHARPENED_NOISE * covariance
             median, median_std, known_share = area_medians(
-                reference,
-                displacement + torch.where(finite(added), added, 0.0),
-                ellipse,
-                gauge_length=self.gauge_length,
-                measure=self.measure,
-                covariance=None if covariance is None else SHARPENED_NOISE * covariance,
-                entered=entered,
+                *points, gauge_length=self.gauge_length, measure=self.measure, covariance=noise, entered=entered
             )
         return FrameFields(
             divergence(gradient),

@@ -108,28 +108,20 @@ def _medians_of_known(radius: float, measure: str, *tensors: Any) -> _Medians:
     The known points are few while a contact grows.
     """
     frame, reference, displacement, points = tensors[:3], tensors[3], tensors[4], list(tensors[3:])
-    count, at_once = displacement.shape[1], len(_LATTICE)
+    count, compute = displacement.shape[1], partial(_medians, radius, measure)
     if may_branch(*points):
         valid = finite((reference + displacement).sum(2)).any(0)
         valid[:1] = True
         index = valid.nonzero().squeeze(1)
         points, count = [None if tensor is None else tensor.index_select(1, index) for tensor in points], len(index)
-    return in_pieces(partial(_medians, radius, measure), _PAIRS // (max(count, at_once) * at_once), *frame, *points)
+    return in_pieces(compute, _PAIRS // (max(count, len(_LATTICE)) * len(_LATTICE)), *frame, *points)
 
 
 def _medians(
-    radius: float,
-    measure: str,
-    center: Tensor,
-    semi_axes: Tensor,
-    angle: Tensor,
-    reference: Tensor,
-    displacement: Tensor,
-    covariance: Tensor | None,
-    among: Tensor | None,
-    fields_entered: Tensor | None,
+    radius: float, measure: str, center: Tensor, semi_axes: Tensor, angle: Tensor, reference: Tensor,
+    displacement: Tensor, covariance: Tensor | None, among: Tensor | None, fields_entered: Tensor | None,
     std_entered: Tensor | None,
-) -> _Medians:
+) -> _Medians:  # fmt: skip
     """Compute the medians of divergence, curl and strain over the ellipse of each frame, from plane fits within
     `radius` to point displacements, by matrix products that can be exported to ONNX.
 
