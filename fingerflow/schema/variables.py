@@ -319,10 +319,12 @@ FIELDS = (
     Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_FIELD_STD_EQUATION, shown_in=UM_PER_MM),
     Variable("field_coverage", FRAME, "1",
         "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
-        equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted",
+        equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted, or within a "
+        "quarter of a gauge length of one",
         shown_in=PERCENT, label="contact with known fields"),
     Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
-        equation="median of the divergence at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
+        equation="median of the divergence of u + 0.8 (u − v), v the value of the plane fitted at a point, at 800 "
+        "places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
     Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}", equation=_MEDIAN_STD_EQUATION,
         shown_in=UM_PER_MM),
     Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence", equation=_RATE_EQUATION,
@@ -330,7 +332,7 @@ FIELDS = (
     Variable("median_divergence_rate_std", FRAME, "1/s", f"{_ERROR} rate of median_divergence",
         equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
     Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}",
-        equation="median of the curl at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
+        equation="that of median_divergence, for the curl", shown_in=UM_PER_MM),
     Variable("median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}", equation=_MEDIAN_STD_EQUATION,
         shown_in=UM_PER_MM),
     Variable("median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}",
