@@ -320,11 +320,9 @@ FIELDS = (
     Variable("field_coverage", FRAME, "1",
         "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
         equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted, or within a "
-        "quarter of a gauge length of one",
-        shown_in=PERCENT, label="contact with known fields"),
+        "quarter of a gauge length of one", shown_in=PERCENT, label="contact with known fields"),
     Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
-        equation="median of the divergence of u + 0.8 (u − v), v the value of the plane fitted at a point, at 800 "
-        "places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
+        equation="median of div (u + 0.8 (u − v)), v as fitted, at 800 places of its ellipse", shown_in=UM_PER_MM),
     Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}", equation=_MEDIAN_STD_EQUATION,
         shown_in=UM_PER_MM),
     Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence", equation=_RATE_EQUATION,
