@@ -447,7 +447,7 @@ public:
         const std::int64_t all = (plane_.height + 2 * plane_.margin) * plane_.pitch, line = (given_.width + 127) / 64 * 64;
         const std::int64_t outline = outline_floats_, few = (blocks_.height + 2 * blocks_.margin) * blocks_.pitch;
         auto* const memory =
-            static_cast<unsigned char*>(workspace(static_cast<std::size_t>(line + 4 * (8 * all + 2 * few + outline + 2 * plane_.pitch))));
+            static_cast<unsigned char*>(workspace(size(line + 4 * (8 * all + 2 * few + outline + 2 * plane_.pitch))));
         const std::int64_t origin = plane_.margin * plane_.pitch + left_;
         auto* const planes = reinterpret_cast<float*>(memory + line);
         // These planes and the lines are zero in their margins and wherever nothing is written.
@@ -457,7 +457,7 @@ public:
         filled_ = planes + 3 * all + origin;
         float* const numbers = planes + 4 * all;
         outline_ = {numbers, numbers + plane_.pitch, numbers + 2 * plane_.pitch, numbers + 2 * plane_.pitch + whole(plane_.height)};
-        std::memset(planes, 0, static_cast<std::size_t>(4 * (4 * all + outline + 2 * plane_.pitch + 2 * few)));
+        std::memset(planes, 0, size(4 * (4 * all + outline + 2 * plane_.pitch + 2 * few)));
         line_ = numbers + outline + left_;
         among_ = numbers + outline + plane_.pitch;
         block_means_ = among_ + plane_.pitch + blocks_.margin * blocks_.pitch + blocks_left_;
@@ -562,7 +562,7 @@ private:
     // Finds the component around the densest cell, by flood fill over blocks of cells, and fills its outline.
     void fill(float limit) {
         const std::int64_t down = cells_of(plane_.height, kCellBlock), across = cells_of(plane_.width, kCellBlock);
-        std::vector<float> densest(static_cast<std::size_t>(down * across));
+        std::vector<float> densest(size(down * across));
         if (densest.empty()) return;
         FINGERFLOW_PICK(densest_of_blocks)(plane_, density_, among_, densest.data());
         const float most = *std::max_element(densest.begin(), densest.end());
@@ -578,20 +578,20 @@ private:
             for (const std::int64_t block : edge)
                 for (std::int64_t y = std::max<std::int64_t>(0, block / across - 1); y < std::min(down, block / across + 2); ++y)
                     for (std::int64_t x = std::max<std::int64_t>(0, block % across - 1); x < std::min(across, block % across + 2); ++x) {
-                        const auto at = static_cast<std::size_t>(y * across + x);
+                        const auto at = size(y * across + x);
                         if (densest[at] <= limit || reached[at] != 0) continue;
                         reached[at] = 1;
                         next.push_back(static_cast<std::int64_t>(at));
                     }
             edge.swap(next);
         }
-        std::memset(outline_.down, 0, static_cast<std::size_t>(4 * outline_floats_));
-        std::memset(filled_, 0, static_cast<std::size_t>(4 * plane_.height * plane_.pitch));
+        std::memset(outline_.down, 0, size(4 * outline_floats_));
+        std::memset(filled_, 0, size(4 * plane_.height * plane_.pitch));
         const auto extend = FINGERFLOW_PICK(extend_outline);
         for (std::int64_t y = 0; y < plane_.height; ++y) {
             if (y % kCellBlock == 0)
                 for (std::int64_t x = 0; x < plane_.width; ++x)
-                    among_[x] = reached[static_cast<std::size_t>(y / kCellBlock * across + x / kCellBlock)];
+                    among_[x] = reached[size(y / kCellBlock * across + x / kCellBlock)];
             extend(plane_, y, density_, among_, limit, outline_);
         }
         const auto fill = FINGERFLOW_PICK(fill_row);

@@ -65,19 +65,8 @@ void sum(const AreaPoints& points, const AreaFits& fits, float (&to)[kSums][kAre
             const Floats closeness = positive(1.0f - (x * x + y * y));
             const Floats w = closeness * closeness, wx = w * x, wy = w * y;
             const float u = points.u[k], v = points.v[k];
-            sums[0] += is_positive(closeness);
-            sums[1] += w;
-            sums[2] += wx;
-            sums[3] += wy;
-            sums[4] += wx * x;
-            sums[5] += wx * y;
-            sums[6] += wy * y;
-            sums[7] += w * u;
-            sums[8] += w * v;
-            sums[9] += wx * u;
-            sums[10] += wy * u;
-            sums[11] += wx * v;
-            sums[12] += wy * v;
+            const Floats terms[kSums] = {is_positive(closeness), w, wx, wy, wx * x, wx * y, wy * y, w * u, w * v, wx * u, wy * u, wx * v, wy * v};
+            for (int s = 0; s < kSums; ++s) sums[s] += terms[s];
         }
         for (int s = 0; s < kSums; ++s) store(to[s] + first, sums[s]);
     }
@@ -151,13 +140,8 @@ void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& 
         fits.center_x[q] = x + fits.x[q];
         fits.center_y[q] = y + fits.y[q];
         fits.share[q] = share;
-        fits.inverse[0][q] = a;
-        fits.inverse[1][q] = b;
-        fits.inverse[2][q] = d;
-        fits.gradient[0][q] = hxx;
-        fits.gradient[1][q] = hxy;
-        fits.gradient[2][q] = hyx;
-        fits.gradient[3][q] = hyy;
+        fits.inverse[0][q] = a, fits.inverse[1][q] = b, fits.inverse[2][q] = d;
+        fits.gradient[0][q] = hxx, fits.gradient[1][q] = hxy, fits.gradient[2][q] = hyx, fits.gradient[3][q] = hyy;
         fits.fields[0][q] = hxx + hyy;
         fits.fields[1][q] = hyx - hxy;
         fits.fields[2][q] = hxx + squared * (hxx * hxx + hyx * hyx);
@@ -258,8 +242,6 @@ namespace {
 
 constexpr std::int64_t kNumbers = 5;  // copied for each point of a block: x, y, u, v and its index
 
-std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
-
 // max(|distance| - half, 0) without a branch.
 float beyond(float distance, float half) {
     const float outside = std::fabs(distance) - half;
@@ -279,15 +261,13 @@ public:
         : given_(given),
           reference_(given.reference + (given.reference_batch == 1 ? 0 : number) * 2 * given.point_count),
           displacement_(given.displacement + number * 2 * given.point_count),
-          covariance_(given.covariance == nullptr ? nullptr : given.covariance + number * 4 * given.point_count),
+          covariance_(part(given.covariance, 4 * number * given.point_count)),
           ellipse_(given.ellipses + 6 * number),
-          apart_(given.apart == nullptr ? nullptr : given.apart + number * given.point_count),
-          apart_fields_(given.apart == nullptr ? nullptr : given.apart_fields + kAreaFields * number * given.point_count),
-          apart_deviations_(given.apart_deviations == nullptr
-                                ? nullptr
-                                : given.apart_deviations + kAreaFields * number * given.point_count),
+          apart_(part(given.apart, number * given.point_count)),
+          apart_fields_(part(given.apart_fields, kAreaFields * number * given.point_count)),
+          apart_deviations_(part(given.apart_deviations, kAreaFields * number * given.point_count)),
           medians_(given.medians + kAreaFields * number),
-          deviations_(given.deviations == nullptr ? nullptr : given.deviations + kAreaFields * number),
+          deviations_(part(given.deviations, kAreaFields * number)),
           share_(given.shares + number),
           settings_{given.measure,
                     static_cast<float>(given.minimum_points),
@@ -310,7 +290,7 @@ public:
             values.clear();
             for (const Block& block : blocks_)
                 for (int q = 0; q < block.positions; ++q)
-                    if (block.fits.known[q] > 0) values.push_back(block.fits.fields[field][q]);
+                    if (block.fits.known[q] > 0 || block.filled[q]) values.push_back(block.fits.fields[field][q]);
             const double share = static_cast<double>(values.size()) / static_cast<double>(given_.positions);
             *share_ = static_cast<float>(share);
             if (values.empty() || share < given_.least_share) return;
@@ -320,11 +300,15 @@ public:
     }
 
 private:
+    template <class Number>
+    static Number* part(Number* all, std::int64_t first) { return all == nullptr ? nullptr : all + first; }
+
     struct Block {
         AreaFits fits;
         int positions;
         AreaPoints points;
         std::int64_t apart[kAreaBlock];  // index of the point with fields of its own that a position takes, or -1
+        bool filled[kAreaBlock];         // whether a position has the fields of its nearest position with a fit
     };
     struct Place {
         float x, y;
@@ -434,6 +418,25 @@ private:
             for (int q = block.positions; q < kAreaBlock; ++q) block.fits.known[q] = 0;
             first += kAreaBlock;
         }
+        fill();
+    }
+
+    // Gives a position without a fit the fields of the nearest position with one. Points end before the border of the
+    // contact, and medians without its rim would be those of the inner part.
+    void fill() {
+        const auto far = static_cast<float>(given_.same_place * given_.same_place);
+        for (Block& block : blocks_)
+            for (int q = 0; q < block.positions; ++q) {
+                float nearest = block.fits.known[q] > 0 ? 0.0f : far;
+                for (const Block& other : blocks_)
+                    for (int p = 0; nearest > 0 && p < other.positions; ++p) {
+                        const float dx = other.fits.x[p] - block.fits.x[q], dy = other.fits.y[p] - block.fits.y[q];
+                        if (!(other.fits.known[p] > 0 && dx * dx + dy * dy < nearest)) continue;
+                        nearest = dx * dx + dy * dy;
+                        for (int field = 0; field < kAreaFields; ++field) block.fits.fields[field][q] = other.fits.fields[field][p];
+                    }
+                block.filled[q] = nearest > 0 && nearest < far;
+            }
     }
 
     // Gives a position the fields of its nearest point where that point has fields of its own; unknown where it is too

@@ -59,8 +59,8 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
     const auto mean = [](Sum sum, std::int64_t count) {
         return static_cast<float>(static_cast<double>(sum) / static_cast<double>(count));
     };
-    std::vector<Number> numbers(static_cast<std::size_t>(given.across)), sums;
-    sums.reserve(static_cast<std::size_t>(given.read) * given.columns.size());
+    std::vector<Number> numbers(size(given.across)), sums;
+    sums.reserve(size(given.read) * given.columns.size());
     for (std::int64_t line = 0; line < given.read; ++line) {
         const Pixel* const row = frame + (given.down / 2 + line * given.down) * given.row_stride + given.along / 2;
         // Hardware does not prefetch lines so far apart.
@@ -77,7 +77,7 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
         for (std::size_t column = 0; column < columns; ++column) {
             Sum sum = 0;
             for (std::int64_t line = piece.first; line < piece.end; ++line)
-                sum += sums[static_cast<std::size_t>(line) * columns + column];
+                sum += sums[size(line) * columns + column];
             *blocks++ = mean(sum, piece.size() * given.columns[column].size());
         }
 }
@@ -98,7 +98,7 @@ void differences_across(const Pixel* frame, std::int64_t lines, std::int64_t pix
     const std::int64_t step = std::max<std::int64_t>(1, pixels / 20), read = (pixels + step - 1) / step;
     const std::int64_t between = kPeriod * (lines / (8 * kPeriod) | 1), last = std::max<std::int64_t>(lines - kPeriod - 1, 1);
     const std::int64_t strips = (last + between - 1) / between;
-    std::vector<float> values(static_cast<std::size_t>(strips * kStrip * read));
+    std::vector<float> values(size(strips * kStrip * read));
     float* to = values.data();
     double sum = 0;
     for (std::int64_t line = 0; line < strips * kStrip; ++line) {

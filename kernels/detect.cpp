@@ -172,8 +172,6 @@ struct Maximum {
     std::int32_t x, y;
 };
 
-std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
-
 // Strongest first; equal ones in reading order.
 bool stronger(const Maximum& one, const Maximum& other) {
     if (one.response != other.response) return one.response > other.response;

@@ -28,7 +28,7 @@ public:
     PointCells(const std::vector<Point>& points, double reach)
         : half_(1 + reach), side_(std::clamp(std::sqrt(4.0 / static_cast<double>(points.size() + 1)), half_ / 64, half_)) {
         count_ = static_cast<std::int64_t>(2 * half_ / side_) + 1;
-        starts_.assign(static_cast<std::size_t>(count_ * count_ + 1), 0);
+        starts_.assign(size(count_ * count_ + 1), 0);
         for (const Point& point : points) ++starts_[cell(point) + 1];
         for (std::size_t k = 1; k < starts_.size(); ++k) starts_[k] += starts_[k - 1];
         sorted_.resize(points.size());
@@ -49,7 +49,7 @@ public:
                 const bool whole = r == row - ring || r == row + ring || ring == 0;
                 for (std::int64_t c = column - ring; c <= column + ring; c += whole ? 1 : 2 * ring) {
                     if (c < 0 || c >= count_) continue;
-                    const auto at = static_cast<std::size_t>(r * count_ + c);
+                    const auto at = size(r * count_ + c);
                     for (std::size_t k = starts_[at]; k < starts_[at + 1]; ++k) {
                         const double dx = sorted_[k].x - x, dy = sorted_[k].y - y, distance = dx * dx + dy * dy;
                         if (distance < least) least = distance, found = &sorted_[k];
@@ -64,7 +64,7 @@ private:
     std::int64_t index(double coordinate) const {
         return std::clamp<std::int64_t>(static_cast<std::int64_t>((coordinate + half_) / side_), 0, count_ - 1);
     }
-    std::size_t cell(const Point& point) const { return static_cast<std::size_t>(index(point.y) * count_ + index(point.x)); }
+    std::size_t cell(const Point& point) const { return size(index(point.y) * count_ + index(point.x)); }
 
     double half_, side_;
     std::int64_t count_;
@@ -112,11 +112,11 @@ void fingerflow_displacement_medians(const double* position /* (batch, count, 2)
                 points.push_back(point);
         }
         const PointCells cells(points, farthest);
-        std::vector<double> area(static_cast<std::size_t>(count));
+        std::vector<double> area(size(count));
         double total = 0;
         for (std::int64_t place = 0; place < places; ++place)
             if (const Point* const point = cells.nearest(lattice[2 * place], lattice[2 * place + 1], farthest)) {
-                area[static_cast<std::size_t>(point->number - frame * count)] += 1;
+                area[size(point->number - frame * count)] += 1;
                 total += 1;
             }
         const double share = total / static_cast<double>(places);
@@ -130,16 +130,16 @@ void fingerflow_displacement_medians(const double* position /* (batch, count, 2)
             const auto value = [&](std::int64_t k) { return displacement[2 * (frame * count + k) + component]; };
             parts.clear();
             for (std::int64_t k = 0; k < count; ++k)
-                if (area[static_cast<std::size_t>(k)] > 0) parts.push_back({value(k), area[static_cast<std::size_t>(k)]});
+                if (area[size(k)] > 0) parts.push_back({value(k), area[size(k)]});
             std::sort(parts.begin(), parts.end(), [](const Part& one, const Part& other) { return one.value < other.value; });
             const double middle = at_rank(parts, total, 0.5);
             const double half = (at_rank(parts, total, 0.5 + rank) - at_rank(parts, total, 0.5 - rank)) / 2;
             double weights = 0, noise = 0;
             for (std::int64_t k = 0; k < count; ++k) {
-                if (!(area[static_cast<std::size_t>(k)] > 0)) continue;
+                if (!(area[size(k)] > 0)) continue;
                 const double away = value(k) - middle, own = variance[frame * count + k];
                 const double left = std::max(1 - away * away / ((own + half * half + 1e-30) * beside * beside), 0.0);
-                const double weight = area[static_cast<std::size_t>(k)] * left * left;
+                const double weight = area[size(k)] * left * left;
                 weights += weight;
                 noise += weight * weight * own;
             }

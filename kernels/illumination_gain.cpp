@@ -133,7 +133,7 @@ float uppermost_mode(const Blocks& blocks) {
     std::vector<float> sorted = quotients;
     const auto kept = std::max<std::int64_t>(1, std::lrint(static_cast<double>(contact::kTop) * static_cast<double>(sorted.size())));
     std::nth_element(sorted.begin(), sorted.begin() + (kept - 1), sorted.end(), std::greater<float>());
-    float gain = sorted[static_cast<std::size_t>(kept - 1)];
+    float gain = sorted[size(kept - 1)];
     quotients.resize((quotients.size() + 15) / 16 * 16);  // padding by zeros, which lie within no width of a gain above zero
     for (const float width : contact::kWidths)
         gain = FINGERFLOW_PICK(mean_within)(quotients.data(), static_cast<std::int64_t>(quotients.size()), gain, width * gain);
@@ -162,10 +162,10 @@ void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64
         std::fill_n(gains, frames.batch, std::numeric_limits<float>::quiet_NaN());
         return;
     }
-    std::vector<Blocks> blocks(static_cast<std::size_t>(frames.batch), Blocks(static_cast<std::size_t>(down * across)));
+    std::vector<Blocks> blocks(size(frames.batch), Blocks(size(down * across)));
     // A row of blocks of all frames at a time, so that the empty glass is read once for all of them.
     parallel_for(down, threads, [&](std::int64_t row) {
-        const std::size_t bytes = static_cast<std::size_t>(width) * sizeof(float);
+        const std::size_t bytes = size(width) * sizeof(float);
         auto* const memory = static_cast<float*>(workspace(4 * bytes));
         const LitColumns columns{memory, memory + width, memory + 2 * width, memory + 3 * width};
         for (std::int64_t frame = 0; frame < frames.batch; ++frame) {
@@ -176,14 +176,14 @@ void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64
                 const std::int64_t y = kStep / 2 + line * kStep;
                 add(frames, frame, y, std::min(y + 2 * kStep, frames.height - 1), light + y * width, black + y * width, columns);
             }
-            Blocks& to = blocks[static_cast<std::size_t>(frame)];
+            Blocks& to = blocks[size(frame)];
             sum(columns.passed, across, side, to.passed.data() + row * across);
             sum(columns.light, across, side, to.light.data() + row * across);
             sum(columns.passed_squared, across, side, to.passed_squared.data() + row * across);
             sum(columns.light_squared, across, side, to.light_squared.data() + row * across);
         }
     });
-    parallel_for(frames.batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
+    parallel_for(frames.batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[size(frame)]); });
 }
 
 #endif

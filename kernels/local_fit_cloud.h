@@ -19,8 +19,6 @@ bool finite(const Real* numbers, std::int64_t count) {
     return std::all_of(numbers, numbers + count, [](Real number) { return std::isfinite(number); });
 }
 
-inline std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
-
 // Records (frames, points, 1 + components + noises) of FitFrames.
 template <class Real>
 class FitRecords {

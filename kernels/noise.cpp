@@ -137,18 +137,18 @@ void fingerflow_mean_response(const fingerflow_frames* frames, double* means, in
     using namespace fingerflow;
     const std::int64_t height = frames->height, step = std::max<std::int64_t>(1, std::min<std::int64_t>(4, height / 64));
     const std::int64_t rows = 32 * step, pieces = (height - 2 + rows - 1) / rows;
-    std::vector<Responses> found(static_cast<std::size_t>(frames->batch * pieces), Responses{0, 0});
+    std::vector<Responses> found(size(frames->batch * pieces), Responses{0, 0});
     for_bands(frames->batch, height - 2, rows, threads, [&](std::int64_t frame, std::int64_t top, std::int64_t bottom) {
-        const auto line = static_cast<float*>(workspace(static_cast<std::size_t>(4 * frames->width)));
-        Responses* const to = &found[static_cast<std::size_t>(frame * pieces + top / rows)];
+        const auto line = static_cast<float*>(workspace(size(4 * frames->width)));
+        Responses* const to = &found[size(frame * pieces + top / rows)];
         FINGERFLOW_PICK(noise_rows)(*frames, frame, 1 + top, 1 + bottom, step, line, to);
     });
     for (std::int64_t frame = 0; frame < frames->batch; ++frame) {
         double sum = 0;
         std::int64_t count = 0;
         for (std::int64_t piece = frame * pieces; piece < (frame + 1) * pieces; ++piece) {
-            sum += found[static_cast<std::size_t>(piece)].sum;
-            count += found[static_cast<std::size_t>(piece)].count;
+            sum += found[size(piece)].sum;
+            count += found[size(piece)].count;
         }
         means[frame] = sum / static_cast<double>(count);  // NaN if no response is finite
     }

@@ -1,9 +1,13 @@
 // Parallel loops over pieces of work, on the calling thread and a pool.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace fingerflow {
+
+// A count or an index as the standard library takes it.
+inline std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
 // Calls call(work, piece), see parallel_for.
 void run_pieces(std::int64_t pieces, int threads, void (*call)(const void* work, std::int64_t piece), const void* work);

@@ -25,7 +25,7 @@ from fingerflow.kernels.arrays import KINDS, inverse_2x2
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
-from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.field_limits import SHARPENED, SHARPENED_NOISE, STRAIN_MEASURES
 from fingerflow.kernels.fields import area_medians, local_gradients
 from fingerflow.kernels.library import compiled
 from fingerflow.kernels.strain_formulas import curl_variance, divergence_variance, sensitivity_parts, strain_parts
@@ -161,14 +161,12 @@ class NativeEngine:
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
         points, (batch, count) = (reference[None], displacement, covariance), displacement.shape[:2]
-        gradient, spread = self._gradients(*points, entered)
-        median, median_std, known_share = self._medians(points, ellipse, entered)
+        gradient, spread, sharp = self._gradients(*points, entered)
+        noise = None if covariance is None else np.float32(SHARPENED_NOISE) * covariance
+        median, median_std, known_share = self._medians((reference[None], sharp, noise), ellipse, entered)
         parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
         fields = _fields(parts, self.settings.strain)
-        shear = np.empty((batch, count, 2), np.float32)
-        flat = shear.reshape(-1, 2)
-        np.subtract(parts[0], parts[3], out=flat[:, 0])
-        np.add(parts[1], parts[2], out=flat[:, 1])
+        shear = np.stack((parts[0] - parts[3], parts[1] + parts[2]), axis=-1).reshape(batch, count, 2)
         divergence_std = curl_std = None
         if spread is not None:
             divergence_std, curl_std = _root(np.array((divergence_variance(spread), curl_variance(spread))))
@@ -178,10 +176,10 @@ class NativeEngine:
 
     def _gradients(
         self, reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
-    ) -> tuple[Array, Array | None]:
-        """Fit displacement gradients (K, N, 2, 2) at N points in K frames over the gauge length; return them, and their
-        covariance if that of the displacements is given. Points that were advected into the contact are left out of the
-        fits, and have their own gradients.
+    ) -> tuple[Array, Array | None, Array]:
+        """Fit displacement gradients (K, N, 2, 2) at N points in K frames over the gauge length; return them, their
+        covariance if that of the displacements is given, and the sharpened displacements (`SHARPENED`). Points that
+        were advected into the contact are left out of the fits, and have their own gradients.
         """
         rest = displacement
         if entered is not None:
@@ -190,6 +188,8 @@ class NativeEngine:
         fit = local_gradients(reference, rest, reference, noise, radius=self.settings.gauge_length_mm / 2)
         gradient, spread = fit.gradient, fit.covariance
         lost = ~np.isfinite(rest[..., 0] + rest[..., 1])
+        added = np.float32(SHARPENED) * (rest - fit.value)
+        sharp = displacement + np.where(np.isfinite(added), added, 0)
         gradient[lost] = _UNKNOWN
         if spread is not None:
             spread[lost] = _UNKNOWN
@@ -199,7 +199,7 @@ class NativeEngine:
             gradient[valid] = entered.gradient[valid]
             if spread is not None and entered.covariance is not None:
                 spread[valid] = entered.covariance[valid]
-        return gradient, spread
+        return gradient, spread, sharp
 
     def _medians(
         self, points: tuple[Array, Array, Array | None], ellipse: FrameEllipse, entered: EnteredPoints | None

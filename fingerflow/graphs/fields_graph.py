@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor, nn
 
+from fingerflow.kernels.field_limits import SHARPENED, SHARPENED_NOISE
 from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.point_gradients import point_gradients
@@ -16,7 +17,7 @@ class FieldsGraph(nn.Module):
     """Module that computes divergence, curl and strain from displacements of scattered points, by local fits.
 
     `ops.fields.point_gradients` computes the fields at the points, in reference coordinates;
-    `ops.fields.area_medians` computes the medians over the contact.
+    `ops.fields.area_medians` computes the medians over the contact, of sharpened displacements (`SHARPENED`).
     """
 
     def __init__(self, gauge_length: float, measure: str = "green_lagrange") -> None:
@@ -46,7 +47,7 @@ class FieldsGraph(nn.Module):
             entered: points whose displacement counts from their own entry.
         """
         rest = displacement if entered is None else torch.where(entered.among[..., None], torch.nan, displacement)
-        gradient, spread = point_gradients(reference, rest, self.gauge_length, covariance)
+        gradient, spread, fitted = point_gradients(reference, rest, self.gauge_length, covariance)
         if entered is not None:
             # A point that entered and was lost has no gradient.
             own_points = entered.among & finite(sum_rows(displacement.mT))[:, 0]
@@ -55,14 +56,11 @@ class FieldsGraph(nn.Module):
                 spread = torch.where(own_points[..., None, None, None, None], entered.covariance, spread)
         median = median_std = known_share = None
         if ellipse is not None:
+            added = SHARPENED * (rest - fitted)
+            points = reference, displacement + torch.where(finite(added), added, 0.0), ellipse
+            noise = None if covariance is None else SHARPENED_NOISE * covariance
             median, median_std, known_share = area_medians(
-                reference,
-                displacement,
-                ellipse,
-                gauge_length=self.gauge_length,
-                measure=self.measure,
-                covariance=covariance,
-                entered=entered,
+                *points, gauge_length=self.gauge_length, measure=self.measure, covariance=noise, entered=entered
             )
         return FrameFields(
             divergence(gradient),

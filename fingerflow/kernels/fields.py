@@ -75,17 +75,13 @@ def area_medians(
     """
     if apart is not None and (apart_fields is None or (apart_std is None) != (covariance is None)):
         raise ValueError("points apart have fields, and deviations where there is a covariance")
-    points = {"reference": reference, "displacement": displacement, "ellipses": ellipses, "covariance": covariance}
-    entered = {"apart": apart, "apart_fields": apart_fields, "apart_deviations": apart_std}
-    fits = {"radius": radius, "minimum_points": limits.MINIMUM_POINTS, "least_spread": limits.MINIMUM_SPREAD}
-    limited = {"farthest": 2 * limits.FARTHEST_CENTROID, "least_ratio": limits.LEAST_RATIO}
-    spread = {"reach": limits.REACH, "even": limits.EVEN, "same_place": limits.SAME_PLACE}
     return compiled("medians_over_area")(
-        **{**points, **entered, **fits, **limited, **spread},
-        lattice=_LATTICE,
-        measure=measure,
-        least_share=limits.LEAST_SHARE,
-    )
+        reference=reference, displacement=displacement, ellipses=ellipses, covariance=covariance, lattice=_LATTICE,
+        apart=apart, apart_fields=apart_fields, apart_deviations=apart_std, measure=measure, radius=radius,
+        minimum_points=limits.MINIMUM_POINTS, least_spread=limits.MINIMUM_SPREAD,
+        farthest=2 * limits.FARTHEST_CENTROID, least_ratio=limits.LEAST_RATIO, reach=limits.REACH, even=limits.EVEN,
+        same_place=limits.SAME_PLACE, least_share=limits.LEAST_SHARE,
+    )  # fmt: skip
 
 
 def triangle_strain(

@@ -114,7 +114,8 @@ class FrameFields(NamedTuple):
         divergence_std, curl_std: (K, N); None without covariances.
         median: (K, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without an ellipse.
         median_std: (K, 5); None without covariances or an ellipse.
-        known_share: (K,) share of the ellipse in which the fields are known; None without an ellipse.
+        known_share: (K,) share of the ellipse in which the fields are known (`ops.fields.area_medians`); None without
+            an ellipse.
     """
 
     divergence: Values

@@ -15,7 +15,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
 from fingerflow.kernels.strain_formulas import check_measure, sensitivity_parts
 from fingerflow.ops.branching import may_branch
-from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
+from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes, point_support
 from fingerflow.ops.fields.scattered import check_gauge_length, check_scattered
 from fingerflow.ops.fields.strain import green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import field_std
@@ -58,7 +58,8 @@ def area_medians(
     positions, since expanding skin covers more of the area than before.
 
     A median is NaN where the field is known over less than 0.85 of the ellipse. A position is known if its fit
-    satisfies the conditions of `local_gradients` and has points on all sides.
+    satisfies the conditions of `local_gradients` and has points on all sides. Another position takes the fields of the
+    nearest one that is known, up to a distance of a quarter of a gauge length, and counts as known then.
 
     Args:
         reference: (1 or B, N, 2) reference positions in a length unit L.
@@ -107,28 +108,20 @@ def _medians_of_known(radius: float, measure: str, *tensors: Any) -> _Medians:
     The known points are few while a contact grows.
     """
     frame, reference, displacement, points = tensors[:3], tensors[3], tensors[4], list(tensors[3:])
-    count = displacement.shape[1]
+    count, compute = displacement.shape[1], partial(_medians, radius, measure)
     if may_branch(*points):
         valid = finite((reference + displacement).sum(2)).any(0)
         valid[:1] = True
         index = valid.nonzero().squeeze(1)
         points, count = [None if tensor is None else tensor.index_select(1, index) for tensor in points], len(index)
-    return in_pieces(partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE)), *frame, *points)
+    return in_pieces(compute, _PAIRS // (max(count, len(_LATTICE)) * len(_LATTICE)), *frame, *points)
 
 
 def _medians(
-    radius: float,
-    measure: str,
-    center: Tensor,
-    semi_axes: Tensor,
-    angle: Tensor,
-    reference: Tensor,
-    displacement: Tensor,
-    covariance: Tensor | None,
-    among: Tensor | None,
-    fields_entered: Tensor | None,
+    radius: float, measure: str, center: Tensor, semi_axes: Tensor, angle: Tensor, reference: Tensor,
+    displacement: Tensor, covariance: Tensor | None, among: Tensor | None, fields_entered: Tensor | None,
     std_entered: Tensor | None,
-) -> _Medians:
+) -> _Medians:  # fmt: skip
     """Compute the medians of divergence, curl and strain over the ellipse of each frame, from plane fits within
     `radius` to point displacements, by matrix products that can be exported to ONNX.
 
@@ -176,9 +169,12 @@ def _medians(
         nearest, given, std, within = _nearest_fields(fields_entered, std_entered, theirs, fit.weights)
         fields = torch.where(nearest, given, fields)
         clear = (nearest & within & good) | (clear & ~nearest)  # ONNX runtimes: no `where` of bool
-    count = clear.to(fields.dtype).sum(2, keepdim=True)
+    # Points end before the border of the contact, and medians without its rim would be those of the inner part.
+    _, beside, _, within = _nearest_fields(fields.mT, None, clear, point_support(positions, positions)[0] * clear)
+    fields, filled = torch.where(clear, fields, beside), clear | within
+    count = filled.to(fields.dtype).sum(2, keepdim=True)
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
-    median = _median(fields, clear, count)
+    median = _median(fields, filled, count)
     median = torch.where(enough, median, math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:

@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, point_support
 from fingerflow.ops.tensors import finite, sum_rows
@@ -12,9 +11,9 @@ from fingerflow.ops.tensors import finite, sum_rows
 
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
-) -> tuple[Tensor, Tensor | None]:
+) -> tuple[Tensor, Tensor | None, Tensor]:
     """Return displacement gradients (B, N, 2, 2) at N points, each from a weighted least-squares plane through the
-    displacements within half a gauge length of the point, and the gradients' covariance.
+    displacements within half a gauge length of the point, the gradients' covariance, and the planes' values (B, N, 2).
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
@@ -29,25 +28,9 @@ def point_gradients(
             (xx, xy), (_, yy) = (row.unbind(-1) for row in covariance.unbind(-2))
             total = total + xy + xx.sqrt() + yy.sqrt()
         total = 0 * total[..., None, None]  # NaN where one is not finite, or a variance negative
-        return fit.gradient + total, None if fit.covariance is None else fit.covariance + total[..., None, None]
+        spread = None if fit.covariance is None else fit.covariance + total[..., None, None]
+        return fit.gradient + total, spread, fit.value + total[..., 0]
     radius = gauge_length / 2
-    if not may_branch(reference, displacement, covariance):
-        return _gradients(radius, reference, displacement, covariance)
-    # Points that are known in no frame are left out.
-    index = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
-    noise = None if covariance is None else covariance.index_select(1, index)
-    gradient, spread = _gradients(radius, reference.index_select(1, index), displacement.index_select(1, index), noise)
-
-    def for_all(values: Tensor) -> Tensor:
-        shape = len(values), displacement.shape[1], *values.shape[2:]
-        return values.new_full(shape, torch.nan).index_copy(1, index, values)
-
-    return for_all(gradient), None if spread is None else for_all(spread)
-
-
-def _gradients(
-    radius: float, reference: Tensor, displacement: Tensor, covariance: Tensor | None
-) -> tuple[Tensor, Tensor | None]:
     positions, valid = about_their_mean(reference, radius)
     usable = valid & finite(sum_rows(displacement.mT))
     planes = None
@@ -56,10 +39,13 @@ def _gradients(
         usable = usable & finite(sum_rows(planes)) & (planes[:, ::2] >= 0).all(1, keepdim=True)
         planes = torch.where(usable, planes, 0.0)
     fitted = fit_planes(positions, displacement.mT, positions, usable, radius)
-    gradient = torch.where(fitted.known & usable, fitted.gradient, torch.nan).mT.unflatten(2, (2, 2))
+    known, both = fitted.known & usable, (fitted.gradient, fitted.value)
+    gradient, value = (torch.where(known, part, torch.nan).mT for part in both)
+    gradient = gradient.unflatten(2, (2, 2))
     if planes is None:
-        return gradient, None
-    return gradient, gradient_covariance(fitted, positions, planes, radius) + 0 * gradient[..., None, None]
+        return gradient, None, value
+    spread = gradient_covariance(fitted, positions, planes, radius) + 0 * gradient[..., None, None]
+    return gradient, spread, value
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:

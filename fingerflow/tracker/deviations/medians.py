@@ -104,7 +104,4 @@ def strain_deviations(divergence_std: Array, curl_std: Array) -> Array:
 
 def _stack_components(fields: FrameFields) -> Array:
     """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
-    frames, points = fields.divergence.shape
-    result = np.empty((frames, 5, points), fields.divergence.dtype)
-    result[:, 0], result[:, 1], result[:, 2:] = fields.divergence, fields.curl, fields.strain.transpose(0, 2, 1)
-    return result
+    return np.concatenate((fields.divergence[:, None], fields.curl[:, None], fields.strain.transpose(0, 2, 1)), axis=1)

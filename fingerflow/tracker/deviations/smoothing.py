@@ -111,11 +111,11 @@ def smoothing_variance(difference: Array, of_points: Array, since_onset: Array) 
     between them: on slides and in a rolling contact errors are as large as the difference D to medians with twice the
     gauge length.
 
-    Since the onset of contact fields rise smoothly to the border. In a dense cloud of points the error is proportional
-    to the square of the gauge length, and so a third of D. Fewer points scatter the fits, which moves the median the
-    other way: on presses of real prints, of -2.3 um/mm by smoothing +1.9 are compensated. The four elements of a
-    displacement gradient err alike in what is left, as fits to points that lie irregularly take the same curvature of
-    the displacement for gradients of all directions. It is a fifth of D, RMS over the elements.
+    Since the onset of contact fields rise smoothly to the border. Medians are those of sharpened displacements
+    (`kernels.field_limits.SHARPENED`), so that the error in a dense cloud of points is proportional to the fourth power
+    of the gauge length, a fifteenth of D. More is left by fits to points that lie irregularly, which take the curvature
+    of the displacement for gradients of all directions, so that the four elements of a displacement gradient err alike,
+    and by one-sided fits at the border. It is a fifth of D, RMS over the elements.
 
     Args:
         difference: (n, 5) D.

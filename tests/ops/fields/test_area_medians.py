@@ -111,17 +111,18 @@ def test_where_nothing_is_known_nothing_is_said() -> None:
 
 
 def test_how_much_of_an_area_is_known() -> None:
-    """The known share of an ellipse crossed by the border of the cloud equals the covered share to 0.05.
+    """The known share of an ellipse crossed by the border of the cloud equals the share that lies within a quarter of a
+    gauge length of the cloud, to 0.05.
 
     Fits extend beyond the border by 0.01 gauge lengths at most: the centroid of the points of a fit must lie within
     0.16 gauge lengths of the position, and does within 0.15 at a straight border.
     """
     places = cloud()
     for border in (-1.0, 0.0, 1.5):
-        cut = places.masked_fill(places[:, :1] > border, torch.nan)
-        share = (math.acos(-border / 3) + border / 3 * math.sqrt(1 - (border / 3) ** 2)) / math.pi
+        cut, edge = places.masked_fill(places[:, :1] > border, torch.nan), (border + GAUGE / 4) / 3
+        share = (math.acos(-edge) + edge * math.sqrt(1 - edge**2)) / math.pi
         found = medians(cut, 0 * places, (3.0, 3.0)).known.item()
-        assert abs(found - share) < 0.05, (border, found, share)
+        assert abs(found - share) < 0.05, border
     assert medians(places, 0 * places, (3.0, 3.0)).known.item() == 1
     assert medians(places, 0 * places, (torch.nan, 3.0)).known.isnan().item()
 
