@@ -55,9 +55,9 @@ def played(trials: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 def test_a_stream_equals_the_recording_bit_for_bit(
     played: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """A stream equals a recording bit for bit as long as it has its first key frame; a recording has no other one.
-    Standard deviations and errors of points are not compared in the key frame itself, in which a stream tracks the
-    points and a recording knows their positions.
+    """A stream equals a recording bit for bit, medians of fields to rounding, as long as it has its first key frame; a
+    recording has no other one. Standard deviations and errors of points are not compared in the key frame itself, in
+    which a stream tracks the points and a recording knows their positions.
 
     The median divergence is compared in frames without a passing touch: a recording knows the end of such a touch and
     counts from the last touch.
@@ -84,10 +84,10 @@ def test_a_stream_equals_the_recording_bit_for_bit(
         np.testing.assert_array_equal(records[name][1:frames], recorded[name].values[1:frames], err_msg=name)
     calm = _without_passing_touch(recorded)[:frames]
     assert calm.sum() > 25
-    for name in ("median_divergence", "global_displacement"):
+    # A recording knows the reference positions of points that touch later, which changes the order of sums in fits.
+    for name, rounding in (("median_divergence", 1e-6), ("global_displacement", 0)):
         medians = recorded[name].values.astype(np.float32)
-        # To 1.5e-6, as float32 rounds.
-        np.testing.assert_array_almost_equal(records[name][:frames][calm], medians[:frames][calm])
+        np.testing.assert_allclose(records[name][:frames][calm], medians[:frames][calm], rtol=0, atol=rounding)
         assert np.isfinite(medians[:frames][calm]).sum() > 25
 
 
