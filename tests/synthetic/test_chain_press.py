@@ -47,7 +47,7 @@ def test_truth_is_what_the_chain_says_of_itself(friction: float) -> None:
 
 def test_the_divergence_of_the_chain_comes_back_from_the_pictures(tmp_path: Path) -> None:
     """The inner divergence is measured to 1.2 um/mm in every frame from 5 mm² on and 0.6 RMS, for each friction and for
-    their difference of 3.8; `median_divergence` to 1 um/mm RMS and 1.8 in single frames.
+    their difference of 3.8; `median_divergence` to 1.1 um/mm RMS and 2.2 in single frames.
     """
     errors: list[list[np.ndarray]] = [[], []]
     for friction in FRICTIONS:
@@ -57,7 +57,7 @@ def test_the_divergence_of_the_chain_comes_back_from_the_pictures(tmp_path: Path
         for kind, of in enumerate((inner_divergence, median_divergence)):
             measured, chain = of(press, result)
             errors[kind].append(measured - chain)
-    for some, usual, most in zip(errors, (0.6, 1.0), (1.2, 1.8), strict=True):
+    for some, usual, most in zip(errors, (0.6, 1.1), (1.2, 2.2), strict=True):
         for error in (*some, some[0] - some[1]):
             assert np.isfinite(error).sum() > 40
             assert np.sqrt(np.nanmean(error**2)) < usual
