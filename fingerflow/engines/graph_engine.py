@@ -280,8 +280,8 @@ class GraphEngine:
         return {key: np.concatenate([piece[key] for piece in pieces], axis=1)[:, :count] for key in pieces[0]}
 
     def _size(self, count: int, free: bool = False) -> int:
-        """Return the number of points to which the inputs of a graph of `count` points are padded: at least one more if
-        the graph takes any number (`free`).
+        """Return the number of points to which `count` points are padded as inputs of a graph. It is larger than `count`
+        if the graph takes any number of points (`free`), so that the last row is padding.
         """
         if free and self._any_number:
             return (count // _STEP + 1) * _STEP
@@ -299,7 +299,7 @@ class GraphEngine:
 
 
 def padded(array: Array, points: int) -> Array:
-    """Pad an array (1, n, ...) to `points` points, with NaN for floating point, else 0.
+    """Extend an array (1, n, ...) of n points to `points` entries, with NaN, or 0 for integers.
 
     Raises FingerflowError if it has more.
     """

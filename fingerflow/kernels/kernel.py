@@ -97,8 +97,8 @@ class Kernel:
         self._message, self._layouts = library.fingerflow_last_message, dict[tuple[Any, ...], _Layout]()
 
     def __call__(self, **values: Any) -> Any:
-        """Call the library function, without holding the global interpreter lock where it is not `_SHORT`, and return
-        the results in the order of the declaration: a tuple, or the only one.
+        """Call the library function and return its results in the order of the declaration: a tuple, or the only one.
+        The global interpreter lock is released during the call, except for the kernels in `_SHORT`.
 
         Numbers that the shapes of arrays tell may be left out.
 

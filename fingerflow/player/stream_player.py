@@ -454,9 +454,11 @@ class Player:
             item = following or self._outcomes.get()
 
     def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
-        """Return a frame with those that wait behind it and can be measured at once with it, which takes less time than
-        one by one; and what follows them, None if that has not come yet. Where the source waits, or frames wait to be
-        tracked, so does this frame: fewer calls of Python then leave more time for tracking.
+        """Collect up to `_AT_ONCE` frames that can be measured in one call, from `first` on; return them, and the next
+        item of the queue, None if it has not come yet.
+
+        One call takes less time than a call for each frame. The thread therefore waits for more frames if the source
+        waits for results, or if frames wait to be tracked: fewer calls of Python leave more time for tracking.
         """
         frames = [first]
         while len(frames) < _AT_ONCE and first.points is not None:

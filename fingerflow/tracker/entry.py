@@ -134,7 +134,7 @@ def variance_of_late(late: Array) -> Array:
 
 
 def join_entered(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
-    """Join the entered points of single frames, None without any, to those of n frames; None if all are None."""
+    """Join the entered points of n frames, each None where no point has entered; None if none has."""
     known = [frame for frame in frames if frame is not None]
     if not known:
         return None

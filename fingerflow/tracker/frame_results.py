@@ -101,7 +101,7 @@ class FrameResults:
         return {name: np.concatenate([part[name] for part in parts]) for name in RESULTS}
 
     def _at_once(self, contact: FrameContact, points: TrackedPoints, covered: Array) -> dict[str, Array]:
-        """Compute the results of frames together, of points that the contact covers where `covered` (n, N) is True."""
+        """Compute the results of n frames in one call; `covered` (n, N) is True for points inside the contact."""
         numbers = self._frames + 1 + np.arange(len(covered))
         variance = points.variance  # by image noise
         curvature, sizes = self._curvature.update(points.points), self.on_glass.sizes(contact)

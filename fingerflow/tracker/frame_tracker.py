@@ -322,8 +322,8 @@ class StreamTracker:
         return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
 
     def check_faint_rim(self) -> Iterator[str]:
-        """Yield a warning if the largest contact so far is faint at its rim; none of one that has just begun, which
-        shows too few ridges. Safe in any thread.
+        """Yield a warning if the largest contact so far is faint at its rim. A contact that has just begun gives none:
+        it shows too few ridges. Safe in any thread.
         """
         if self._largest is not None:
             image, contact = self._largest
