@@ -280,7 +280,7 @@ class GraphEngine:
         return {key: np.concatenate([piece[key] for piece in pieces], axis=1)[:, :count] for key in pieces[0]}
 
     def _size(self, count: int, free: bool = False) -> int:
-        """Return the number of points to which `count` points are padded as inputs of a graph. It is larger than `count`
+        """Return the number of points to which `count` points are padded as inputs of a graph. It exceeds `count`
         if the graph takes any number of points (`free`), so that the last row is padding.
         """
         if free and self._any_number:

@@ -29,11 +29,11 @@ GREY16 = RNG.integers(1, 4096, (6, 20, 30)).astype(np.uint16)
 # Special files
 
 
-@pytest.mark.parametrize("name", ["a.tif", "a.h5", "a.mkv", "a.png", "a.mat", "take 1.cih"])
+@pytest.mark.parametrize("name", ["a.tif", "a.h5", "a.mkv", "a.png", "a.csv", "a.mat", "take 1.cih"])
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
     write_photron(tmp_path, stored(MRAW_FRAMES), ".other")
     os.mkfifo(tmp_path / name)
-    opens = open_forces if name == "a.mat" else open_recording
+    opens = open_forces if name in ("a.csv", "a.mat") else open_recording
     with pytest.raises(FingerflowError, match=rf"{name}: is a pipe, not a file; copy"):
         opens(tmp_path / ("take 1.mraw" if name == "take 1.cih" else name))
 
