@@ -6,7 +6,8 @@ Each recipe of `export/` is played from its bundle, without torch, by the compil
 Runtime (`onnx`), as fast as it goes, and then for 60 s at 300 frames a second, as a camera would give them, or at two
 thirds of its rate where that is less. As fast as it goes is the median of five runs, with the slowest and the fastest.
 cpu_ms is the processor time of the player a frame, its start not counted, opencv_cpu_ms that of OpenCV's pipeline on a
-recording in the same run (`bench pipeline`), and cpu_to_opencv their ratio, which means the same on other machines.
+recording in the same run (`bench pipeline`), and cpu_to_opencv their ratio, which means the same on other machines. At
+a camera's rate one thread tracks and measures as long as it keeps up, which takes less.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
 waiting. `load` is how many processes the machine had to run on average when the row ended: on cores that do other work
 latencies mean little.
@@ -26,40 +27,36 @@ FRAMES = {"native": 4000, "onnx": 600}  # as fast as it goes: some seconds
 
 def run(quick: bool) -> list[Row]:
     """Return two rows per recipe and engine."""
-    rows: list[Row] = []
-    opencv = opencv_cpu_ms(quick)
+    rows, opencv = list[Row](), opencv_cpu_ms(quick)
     with exported_recipes() as bundles:
         for recipe, bundle in bundles.items():
             for engine in ("native", "onnx"):
-                of = {"recipe": recipe, "engine": engine}
-                free = _free(bundle, engine, quick)
-                free |= {"opencv_cpu_ms": opencv, "cpu_to_opencv": free["cpu_ms"] / opencv}
+                free, start_s = _free(bundle, engine, quick)
                 pace = min(CAMERA, round(free["rate_hz"] * 2 / 3))
-                rows += [of | free, of | _played(bundle, engine, pace, quick)]
+                for row in free, _played(bundle, engine, pace, quick):
+                    row["cpu_ms"] = 1e3 * (row.pop("cpu_s") - start_s) / row["frames"]
+                    row |= {"opencv_cpu_ms": opencv, "cpu_to_opencv": row["cpu_ms"] / opencv}
+                    rows.append({"recipe": recipe, "engine": engine} | row)
     return rows
 
 
-def _free(bundle: Path, engine: str, quick: bool) -> dict[str, Any]:
-    """Return the run of median rate, with the slowest and fastest rate."""
+def _free(bundle: Path, engine: str, quick: bool) -> tuple[dict[str, Any], float]:
+    """Return the run of median rate, with the slowest and fastest rate, and the processor time of the start in s."""
     runs = [_played(bundle, engine, None, quick) for _ in range(1 if quick else 5)]
     runs.sort(key=lambda run: run["rate_hz"])
-    rates = {"slowest_hz": runs[0]["rate_hz"], "fastest_hz": runs[-1]["rate_hz"]}
-    # The difference of two runs leaves out the start, which takes as long as some hundred frames.
-    count = FRAMES[engine] // (5 if quick else 1)
-    long, short = (play(bundle, engine, frames=frames)["cpu_s"] for frames in (count, count // 4))
-    return runs[len(runs) // 2] | rates | {"cpu_ms": 1e3 * (long - short) / (count - count // 4)}
+    middle = runs[len(runs) // 2] | {"slowest_hz": runs[0]["rate_hz"], "fastest_hz": runs[-1]["rate_hz"]}
+    # A quarter of the frames takes a quarter of the time, but its start as long.
+    short = play(bundle, engine, frames=middle["frames"] // 4)["cpu_s"]
+    return middle, (4 * short - middle["cpu_s"]) / 3
 
 
 def _played(bundle: Path, engine: str, pace: int | None, quick: bool) -> dict[str, Any]:
-    seconds = 2 if quick else 60
-    count = seconds * pace if pace else FRAMES[engine] // (5 if quick else 1)
+    count = (2 if quick else 60) * pace if pace else FRAMES[engine] // (5 if quick else 1)
     summary = play(bundle, engine, frames=count, rate=pace)
     return {
         "asked_hz": pace,
-        "rate_hz": summary["rate_hz"],
+        **{name: summary[name] for name in ("rate_hz", "cpu_s", "dropped", "overruns")},
         "frames": summary["processed"],
-        "dropped": summary["dropped"],
-        "overruns": summary["overruns"],
         "load": os.getloadavg()[0],
         # Without a pace the queue is always full, and latency is the wait in it.
         **({f"{k}_ms": v for k, v in summary["latency_ms"].items()} if pace else {}),

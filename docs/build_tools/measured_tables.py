@@ -31,8 +31,8 @@ def live(rows: Rows) -> list[list[str]]:
         rate = f"{free['slowest_hz']:.0f} to {free['fastest_hz']:.0f}"
         lost = f"{paced['dropped']} dropped" if paced["dropped"] else "none dropped"
         late = ", ".join(f"{paced[f'{of}_ms']:.3g}" for of in ("median", "p99", "worst"))
-        ratio = f"{free['cpu_to_opencv']:.2f}"
-        table.append([f"{recipe}, {engine}", rate, ratio, f"{paced['asked_hz']}/s: {lost}; {late} ms"])
+        ratio = f"{free['cpu_to_opencv']:.2f}; {paced['cpu_to_opencv']:.2f} at {paced['asked_hz']}/s"
+        table.append([f"{recipe}, {engine}", rate, ratio, f"{lost}; {late} ms"])
     return table
 
 

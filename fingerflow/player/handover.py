@@ -76,9 +76,9 @@ class Channel(Generic[T]):
         self._free.put(True)
         return item
 
-    def is_empty(self) -> bool:
-        """Return whether the queue is empty now."""
-        return not self._items
+    def __len__(self) -> int:
+        """Return the number of items in the queue now."""
+        return len(self._items)
 
     def close(self) -> None:
         """Close the queue: no further items are accepted, and all waiting threads continue."""

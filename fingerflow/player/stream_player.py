@@ -49,9 +49,7 @@ _SENTENCES = {  # log messages by the names of the tracker's events
     "key_frame": "{points} points followed from a new key frame",
     "threshold": "threshold {threshold:.4f} of the intensity lost",
 }
-# Largest number of frames that are measured at once, and s for which one waits for the next while others wait to be
-# tracked.
-_AT_ONCE, _PATIENCE = 4, 0.01
+_AT_ONCE = 4  # largest number of frames that are measured at once, and that may wait before another thread measures
 _RECORDS_WAITING = 512  # number of queued records, of more than a second: the time that a slow disk may take to sync
 
 
@@ -108,6 +106,8 @@ class Player:
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.process_all else 1)
         self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
+        self._calls: Channel[bool] = Channel(1)  # for the measuring thread
+        self._measuring = threading.Lock()  # held by the thread that measures
         self._records: Channel[tuple[int, Slot | None, Array | None]] = Channel(_RECORDS_WAITING)
         # Two more records than are queued: one is being filled, one written.
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
@@ -121,6 +121,7 @@ class Player:
         self._forces, self._values = forces, values
         can_wait = settings.process_all and settings.rate is None and not source.live
         self._can_wait = can_wait  # True if the source can wait for results, as a file played as fast as possible can
+        self._alone = settings.process_all and not can_wait  # True if the computing thread measures, too, unless behind
         self._senders = [Sender(destination, can_wait, self._record_trigger) for destination in destinations]
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # state and message shown on the page
@@ -144,7 +145,7 @@ class Player:
             return self._run()
 
     def _run(self) -> dict[str, Any]:
-        after_computing = (self._free.close, self._frames.close, self._outcomes.close)
+        after_computing = (self._free.close, self._frames.close, self._outcomes.close, self._calls.close)
         threads = [
             threading.Thread(target=self._run_guarded, args=(step, after), name=step.__name__.strip("_"), daemon=True)
             for step, after in (
@@ -434,37 +435,53 @@ class Player:
             for outcome in self._tracker.step(slot):
                 if not self._outcomes.put(outcome):  # the stream has failed
                     return
+            # Threads that run Python wait for each other: a second one pays only where more frames wait.
+            waiting = len(self._frames)
+            if self._alone and waiting > 0 and len(self._outcomes) < _AT_ONCE:
+                continue
+            if self._alone and waiting <= _AT_ONCE and self._measuring.acquire(blocking=False):
+                try:
+                    self._measure_outcomes(1)
+                finally:
+                    self._measuring.release()
+            else:
+                self._calls.put_newest(True)
         for outcome in self._tracker.settle():
             self._outcomes.put(outcome)
 
-    # Measuring thread: from outcomes to records.
+    # Measuring thread, or the computing one: from outcomes to records.
 
     def _measure(self) -> None:
-        item = self._outcomes.get()
-        while item is not None:
-            following = None
+        while self._calls.get():
+            with self._measuring:
+                self._measure_outcomes(_AT_ONCE if self._alone else 1)
+        self._measure_outcomes(1)
+
+    def _measure_outcomes(self, least: int) -> None:
+        """Measure the queued frames and pass on their records, until fewer than `least` are left."""
+        item: Event | FrameOutcome | None = None
+        while item is not None or len(self._outcomes) >= least:
+            item, following = item or self._outcomes.get(), None
             if isinstance(item, Event):
                 self._sink.event(item.name, item.frame, **item.facts)
                 log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
-            else:
+            elif item is not None:
                 frames, following = self._frames_from(item)
                 results = None if item.points is None else self._tracker.compute_results(frames)
                 if not all(self._pass_record(frame, results, k) for k, frame in enumerate(frames)):
                     return
-            item = following or self._outcomes.get()
+            item = following
 
     def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
         """Collect up to `_AT_ONCE` frames that can be measured in one call, from `first` on; return them, and the next
         item of the queue, None if it has not come yet.
 
-        One call takes less time than a call for each frame. The thread therefore waits for more frames if the source
-        waits for results, or if frames wait to be tracked: fewer calls of Python leave more time for tracking.
+        One call takes less time than a call for each frame. A source that can wait always waits for more frames.
         """
         frames = [first]
         while len(frames) < _AT_ONCE and first.points is not None:
             self._tracker.contact(frames[-1])  # while others are tracked
-            behind = self.settings.process_all and not self._frames.is_empty()
-            item = self._outcomes.get(self._can_wait or (behind and _PATIENCE))
+            item = self._outcomes.get(self._can_wait)
             if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not first.seeding:
                 return frames, item
             frames.append(item)
@@ -528,5 +545,5 @@ class Player:
                 traced = float(record["time"])
                 self.live.trace(record)
             self._sink.write(as_bytes[index], int(record["frame"]))
-            if self._records.is_empty():  # wait, so that one wake-up serves several records
+            if not self._records:  # wait, so that one wake-up serves several records
                 time.sleep(_STORE_INTERVAL)
