@@ -104,10 +104,7 @@ class FrameCheck:
         return self._judged(picture if status == picture.status else picture._replace(status=status))
 
     def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
-        if frame.status != USABLE:
-            if self._deferred:
-                self._deferred.append(frame)
-                return [], None
+        if frame.status != USABLE and not self._deferred:
             return [], frame.status
         if not self._deferred:
             step = self._step_to(frame)
@@ -116,7 +113,7 @@ class FrameCheck:
                 return [], None
             self._count(frame, step)
             return [], USABLE
-        if self._comes_back(frame):
+        if frame.status == USABLE and self._comes_back(frame):
             self._returned.append(True)
             decided = self.settle()
             self._count(frame, self._step_to(frame))
