@@ -49,9 +49,8 @@ _SENTENCES = {  # log messages by the names of the tracker's events
     "key_frame": "{points} points followed from a new key frame",
     "threshold": "threshold {threshold:.4f} of the intensity lost",
 }
-# Largest number of frames that are measured at once, and s for which one waits for the next while others wait to be
-# tracked.
-_AT_ONCE, _PATIENCE = 4, 0.01
+_AT_ONCE = 4  # largest number of frames that are measured in one call
+_PATIENCE = 0.01  # s for which a frame waits to be measured with the next while others wait to be tracked
 _RECORDS_WAITING = 512  # number of queued records, of more than a second: the time that a slow disk may take to sync
 
 
@@ -133,8 +132,11 @@ class Player:
         self._stop, self._finished = threading.Event(), threading.Event()
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # time since which the source has been waited for
-        self._findings, self._drawing = Findings(), False  # the second is True while a frame is queued for the page
-        self._first, self._last_trouble, self._vibrates, self._faint = math.nan, "", False, False
+        self._findings = Findings()
+        self._drawing = False  # True while a frame is queued for the page
+        self._first = math.nan
+        self._last_trouble = ""
+        self._vibrates = self._faint = False
 
     def run(self) -> dict[str, Any]:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
@@ -155,7 +157,8 @@ class Player:
             )
         ]
         self._started = time.perf_counter()
-        address, page = self.settings.page, None
+        address = self.settings.page
+        page = None
         try:
             page = serve_page(address, self.live, self._said_by_page, self._tracker.reseed) if address else None
             self._sink.open()
@@ -261,8 +264,7 @@ class Player:
         try:
             step()
         except BaseException as error:
-            if self._failure is None:
-                self._failure = error
+            self._failure = self._failure or error
             self._stop.set()
         finally:
             self._busy[step.__name__.strip("_")] = time.thread_time()
@@ -273,10 +275,9 @@ class Player:
         """Close all outputs and the force sensor, and log what was sent."""
         for sender in self._senders:
             sender.close()
+            (log.warning if sender.lost else log.info)("%s", sender.describe())
         if self._forces is not None:
             self._forces.close()
-        for sender in self._senders:
-            (log.warning if sender.lost else log.info)("%s", sender.describe())
 
     def _record_trigger(self, frame: int, condition: str, latency: float) -> None:
         self._sink.event("trigger", frame, condition=condition, latency_ms=round(1e3 * latency, 3))
@@ -447,28 +448,33 @@ class Player:
                 self._sink.event(item.name, item.frame, **item.facts)
                 log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
             else:
-                frames, following = self._frames_from(item)
-                results = None if item.points is None else self._tracker.compute_results(frames)
+                frames = [item]
+                try:
+                    following = self._add_frames(frames)
+                    results = None if item.points is None else self._tracker.compute_results(frames)
+                except Exception:
+                    for frame in frames:  # one at a time, to keep those before the fault
+                        self._pass_record(frame, self._tracker.compute_results([frame]), 0)
+                    raise
                 if not all(self._pass_record(frame, results, k) for k, frame in enumerate(frames)):
                     return
             item = following or self._outcomes.get()
 
-    def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
-        """Collect up to `_AT_ONCE` frames that can be measured in one call, from `first` on; return them, and the next
+    def _add_frames(self, frames: list[FrameOutcome]) -> Event | FrameOutcome | None:
+        """Add frames that can be measured in one call with the first of `frames`, up to `_AT_ONCE`; return the next
         item of the queue, None if it has not come yet.
 
         One call takes less time than a call for each frame. The thread therefore waits for more frames if the source
         waits for results, or if frames wait to be tracked: fewer calls of Python leave more time for tracking.
         """
-        frames = [first]
-        while len(frames) < _AT_ONCE and first.points is not None:
+        while len(frames) < _AT_ONCE and frames[0].points is not None:
             self._tracker.contact(frames[-1])  # while others are tracked
             behind = self.settings.process_all and not self._frames.is_empty()
             item = self._outcomes.get(self._can_wait or (behind and _PATIENCE))
-            if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not first.seeding:
-                return frames, item
+            if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not frames[0].seeding:
+                return item
             frames.append(item)
-        return frames, None
+        return None
 
     def _pass_record(self, outcome: FrameOutcome, results: Mapping[str, Array] | None, k: int) -> bool:
         """Offer the results of a frame, the k-th of `results` and None without any, to the outputs, and queue a record
