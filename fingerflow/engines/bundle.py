@@ -112,9 +112,8 @@ def _check_code(folder: Path, listed: Container[str]) -> None:
         module = name.split("/")[0].split(".")[0]
         foreign = path.suffix in _COMPILED
         if path.suffix == ".py" or (path.is_symlink() and path.is_dir()):
-            foreign = module in ("fingerflow", *sys.stdlib_module_names) or bool(
-                PathFinder.find_spec(module, elsewhere)
-            )
+            installed = PathFinder.find_spec(module, elsewhere)
+            foreign = module in ("fingerflow", *sys.stdlib_module_names) or installed is not None
         if foreign and name not in listed:
             raise FingerflowError(f"{path}: is code that bundle.json does not list; remove it, or rename your module")
 

@@ -180,9 +180,11 @@ _T = TypeVar("_T")
 
 
 class Recent(Generic[_T]):
-    """Cache of what a function computes of the arrays of its latest four calls, known by identity, which must not
+    """Cache of what a function computes of the arrays of its latest `KEPT` calls, known by identity, which must not
     change.
     """
+
+    KEPT = 4
 
     def __init__(self, compute: Callable[[Any], _T]) -> None:
         self._compute = compute
@@ -194,7 +196,7 @@ class Recent(Generic[_T]):
             if known is array:
                 return value
         value = self._compute(array)
-        self._values = ((array, value), *self._values[:3])
+        self._values = ((array, value), *self._values)[: self.KEPT]
         return value
 
 

@@ -95,8 +95,7 @@ class GraphEngine:
     ) -> None:
         self.settings, self.described, self.name = settings, described, described.partition(" ")[0]
         self._sessions, self._points = sessions, points
-        # Execution providers of other devices prepare a graph again for each number of points.
-        self._any_number = bool(points) and described.endswith("(CPUExecutionProvider)")
+        self._any_number = bool(points) and sessions["fit"].any_number
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         self._light, self._support = Recent(self._light_inputs), Recent(self._support_inputs)
         self._neighbours = Recent(self._neighbour_inputs)

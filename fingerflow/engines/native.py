@@ -90,11 +90,10 @@ class NativeEngine:
         return FrameContact(mask, real, gross, center, axes, angle, density_margin, gains, threshold)
 
     def detect(self, image: Array, mask: Array, count: int) -> Array:
-        height, width = mask.shape
         count = min(count, mask.size)
         border = min(self.settings.window_px // 2 + 3, (min(mask.shape) - 1) // 2)
         beside = max(1, round(self.settings.min_distance_px / 2))
-        farthest = max(beside + 1, math.isqrt(height * width // count))
+        farthest = max(beside + 1, math.isqrt(mask.size // count))
         limits = {"border": border, "beside": beside, "farthest": farthest, "quality": QUALITY, "noise": NOISE}
         points, _ = compiled("detect_points")(frame=image, mask=mask[None, None], count=count, **limits)
         return points[np.isfinite(points[:, 0])]
@@ -181,9 +180,7 @@ class NativeEngine:
         covariance if that of the displacements is given, and the sharpened displacements (`SHARPENED`). Points that
         were advected into the contact are left out of the fits, and have their own gradients.
         """
-        rest = displacement
-        if entered is not None:
-            rest = np.where(entered.among[..., None], _UNKNOWN, displacement)
+        rest = displacement if entered is None else np.where(entered.among[..., None], _UNKNOWN, displacement)
         noise = None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
         fit = local_gradients(reference, rest, reference, noise, radius=self.settings.gauge_length_mm / 2)
         gradient, spread = fit.gradient, fit.covariance
@@ -209,10 +206,8 @@ class NativeEngine:
         displacements and covariances of points.
         """
         measure, (reference, displacement, covariance) = self.settings.strain, points
-        ellipses = np.empty((len(displacement), 6), np.float32)
-        ellipses[:, :2], ellipses[:, 2:4] = ellipse.center, ellipse.semi_axes
-        np.cos(ellipse.angle, out=ellipses[:, 4])
-        np.sin(ellipse.angle, out=ellipses[:, 5])
+        center, semi_axes, angle = (part.astype(np.float32) for part in ellipse)
+        ellipses = np.column_stack((center, semi_axes, np.cos(angle), np.sin(angle)))
         among = fields = deviations = None
         if entered is not None:
             among = entered.among

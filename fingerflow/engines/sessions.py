@@ -1,6 +1,5 @@
 """ONNX Runtime sessions of the graphs of a deployment bundle, opened with one execution provider."""
 
-import logging
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -8,33 +7,36 @@ from typing import Any
 
 import numpy as np
 import onnxruntime as ort
-from numpy.typing import NDArray
 
+from fingerflow.engines.engine import ANY_NUMBER, Array
 from fingerflow.errors import FingerflowError, first_line
-
-Array = NDArray[Any]
 
 #: Short name of the CPU provider, which is always installed.
 CPU = "cpu"
 _SUFFIX = "ExecutionProvider"
 _REMOTE = "AzureExecutionProvider"  # runs models on a remote server, not on this computer
 _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
-log = logging.getLogger("fingerflow.engines")
+_DTYPES = ("float32", "uint8", "uint16", "int32", "int64", "bool")
 
 
 class GraphSession:
     """ONNX Runtime session of one graph of a bundle, which several threads may call at once.
 
     Args:
-        device: in whose memory inputs are kept, "cpu" or "cuda".
+        name: of the graph.
+        provider: short name, which decides in whose memory inputs are kept.
 
     Attributes:
         inputs: shapes and dtypes by name; no shape where it has a free size.
+        any_number: whether the number of points may differ from call to call: providers other than the CPU prepare a
+            graph again for each.
     """
 
-    def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
-        self._session, self._path, self._device = session, path, device
-        self.inputs = {value.name: _size(value) for value in session.get_inputs()}
+    def __init__(self, session: ort.InferenceSession, path: Path, name: str, provider: str) -> None:
+        self._session, self._path = session, path
+        self._device = "cuda" if provider in _ON_GPU else CPU
+        self.any_number = provider == CPU
+        self.inputs = {value.name: _size(value, path, name) for value in session.get_inputs()}
         self._names = [output.name for output in session.get_outputs()]
 
     def __call__(self, values: Mapping[str, Any]) -> dict[str, Array]:
@@ -114,7 +116,7 @@ def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int =
         found = session.get_modelmeta().custom_metadata_map.get("fingerflow.graph", "no fingerflow metadata")
         if found != name:
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
-        sessions[name] = GraphSession(session, path, "cuda" if provider in _ON_GPU else CPU)
+        sessions[name] = GraphSession(session, path, name, provider)
     return sessions
 
 
@@ -148,9 +150,13 @@ def _share_memory() -> None:
     ort.create_and_register_allocator(ort.OrtMemoryInfo("Cpu", *kinds), None)
 
 
-def _size(argument: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and the dtype of an input of a graph; an empty shape, which ONNX Runtime checks, if a size of it
-    is free.
+def _size(argument: Any, path: Path, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and the dtype of an input of the graph `name`; an empty shape, which ONNX Runtime checks, if a
+    size of it is free. Raise FingerflowError for another dtype, and for free sizes of other graphs than `ANY_NUMBER`.
     """
-    shape = tuple(argument.shape) if all(isinstance(size, int) for size in argument.shape) else ()
-    return shape, np.dtype(argument.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32"))
+    dtype = argument.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32")
+    fixed = all(isinstance(size, int) for size in argument.shape)
+    if dtype not in _DTYPES or not (fixed or name in ANY_NUMBER):
+        what = f"{path}: {argument.name} is {argument.type} {argument.shape}"
+        raise FingerflowError(f"{what}; the engine needs a usual type and fixed sizes: export the bundle again")
+    return tuple(argument.shape) if fixed else (), np.dtype(dtype)

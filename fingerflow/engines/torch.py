@@ -18,6 +18,8 @@ from fingerflow.schema.pixel_types import COMPUTED_TYPES
 class TorchSession:
     """Graph that torch runs on a device, with the interface of `engines.sessions.GraphSession`."""
 
+    any_number = True
+
     def __init__(self, graph: Graph, device: torch.device) -> None:
         self.graph, self._device = graph, device
 

@@ -94,7 +94,8 @@ class Kernel:
         self._pack = struct.Struct(function.format).pack
         self._enter: Any = (ctypes.PyDLL(library._name) if name in _SHORT else library)[f"enter_{name}"]
         self._enter.argtypes = (ctypes.c_char_p,)
-        self._message, self._layouts = library.fingerflow_last_message, dict[tuple[Any, ...], _Layout]()
+        self._message = library.fingerflow_last_message
+        self._layouts = dict[tuple[Any, ...], _Layout]()
 
     def __call__(self, **values: Any) -> Any:
         """Call the library function and return its results in the order of the declaration: a tuple, or the only one.

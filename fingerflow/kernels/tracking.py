@@ -73,14 +73,7 @@ def sizes_of(window: int, radius: int) -> tuple[int, int]:
 
 
 def correct_points(
-    start: Array,
-    points: Array,
-    covariance: Array,
-    numbers: Array,
-    inverse_warp: Array,
-    *,
-    window: int,
-    gauge_px: float,
+    start: Array, points: Array, covariance: Array, numbers: Array, inverse_warp: Array, *, window: int, gauge_px: float
 ) -> CorrectedPoints:
     """Correct the positions of N points tracked in K frames for the deformation of the skin, estimated from the points,
     as `ops.tracking.deformation` up to rounding.

@@ -10,7 +10,8 @@ log = logging.getLogger("fingerflow.player")
 #: latency.
 EPOCH = time.time() - time.perf_counter()
 _MOST_AHEAD = 0.25  # s by which a stamp may advance more than arrivals do: frames that waited arrive together
-_MOST_JUMPS, _LEAST_PASSED = 3, 0.1  # frames in a row, and s, in which stamps run ahead before their unit is found
+_MOST_JUMPS = 3  # frames in a row in which stamps run ahead before their unit is found
+_LEAST_PASSED = 0.1  # s, the same
 _UNITS = (1e-3, 1e-6, 1e-9, 60.0, 3600.0, 86400.0)  # s: what stamps count besides seconds
 _LEAST = 1e-9  # s between two frames that arrive at once
 # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it. Share of it by which stamps fall

@@ -98,11 +98,6 @@ class LiveData:
         """Return the latest image and the time traces, with further facts about the stream, for the live page."""
         self._asked = time.perf_counter()
         traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
-        shown = {
-            "every": self._every,
-            "scalars": self._scalars,
-            "expected": dict(self._expected),
-            "forces": self._forces,
-            "trace_columns": self._columns,
-        }
-        return packed({**facts, **shown}, self._arrays | {"traces": traces})
+        values = {"scalars": self._scalars, "expected": dict(self._expected)}
+        layout = {"every": self._every, "forces": self._forces, "trace_columns": self._columns}
+        return packed({**facts, **values, **layout}, self._arrays | {"traces": traces})

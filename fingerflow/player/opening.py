@@ -26,12 +26,7 @@ from fingerflow.player.played import choose_input
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination
 from fingerflow.player.stream_player import Player, Settings
-from fingerflow.player.stream_scene import (
-    contradictions,
-    find_topography,
-    stated_threshold,
-    stream_settings,
-)
+from fingerflow.player.stream_scene import contradictions, find_topography, stated_threshold, stream_settings
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.tracker.frame_tracker import StreamTracker
@@ -42,9 +37,7 @@ ReadForces = Callable[[Path], LiveForces | None]
 
 
 def open_player(
-    options: argparse.Namespace,
-    forces_of: ReadForces = lambda scene: None,
-    on_frame: OnFrame | None = None,
+    options: argparse.Namespace, forces_of: ReadForces = lambda scene: None, on_frame: OnFrame | None = None
 ) -> Player:
     """Open the bundle, frame source, force sensor, outputs and results folder that the options name, and return a
     player that is ready to run.

@@ -28,7 +28,8 @@ log = logging.getLogger("fingerflow.player")
 
 _TIMEOUT = 5.0  # s to wait for data from a client, or for a client to accept a response; the page polls every 66 ms
 _REQUEST = 10.0  # s, longest time for a whole request, however slowly its bytes come
-_LINGER, _MOST_BODY = 0.5, 1 << 20  # limits of the body of a refused request that is read: s without data, and bytes
+_LINGER = 0.5  # s without data after which the body of a refused request is read no further
+_MOST_BODY = 1 << 20  # bytes of such a body that are read
 _CLIENTS = 16  # largest number of simultaneous connections on which no request with the token has come
 # s for which the server outlives the stream: a page polls 15 times a second, or once a second in the background.
 _LAST_LOOK = 1.2

@@ -130,8 +130,7 @@ class Sender:
         messages: list[LiveFrame] = []
         while (message := self._messages.get(wait=not messages)) is not None:
             messages.append(message)
-        in_turn = self._waits or self._condition is not None
-        if in_turn or len(messages) * self._took <= _CATCH_UP:
+        if self._waits or self._condition is not None or len(messages) * self._took <= _CATCH_UP:
             return messages
         self._passed_over += len(messages) - 1
         return messages[-1:]

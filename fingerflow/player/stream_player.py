@@ -134,8 +134,11 @@ class Player:
         self._stop, self._finished = threading.Event(), threading.Event()
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # time since which the source has been waited for
-        self._findings, self._drawing = Findings(), False  # the second is True while a frame is queued for the page
-        self._first, self._last_trouble, self._vibrates, self._faint = math.nan, "", False, False
+        self._findings = Findings()
+        self._drawing = False  # True while a frame is queued for the page
+        self._first = math.nan
+        self._last_trouble = ""
+        self._vibrates = self._faint = False
 
     def run(self) -> dict[str, Any]:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
@@ -156,7 +159,8 @@ class Player:
             )
         ]
         self._started = time.perf_counter()
-        address, page = self.settings.page, None
+        address = self.settings.page
+        page = None
         try:
             page = serve_page(address, self.live, self._said_by_page, self._tracker.reseed) if address else None
             self._sink.open()
@@ -262,8 +266,7 @@ class Player:
         try:
             step()
         except BaseException as error:
-            if self._failure is None:
-                self._failure = error
+            self._failure = self._failure or error
             self._stop.set()
         finally:
             self._busy[step.__name__.strip("_")] = time.thread_time()
@@ -274,10 +277,9 @@ class Player:
         """Close all outputs and the force sensor, and log what was sent."""
         for sender in self._senders:
             sender.close()
+            (log.warning if sender.lost else log.info)("%s", sender.describe())
         if self._forces is not None:
             self._forces.close()
-        for sender in self._senders:
-            (log.warning if sender.lost else log.info)("%s", sender.describe())
 
     def _record_trigger(self, frame: int, condition: str, latency: float) -> None:
         self._sink.event("trigger", frame, condition=condition, latency_ms=round(1e3 * latency, 3))
@@ -437,15 +439,11 @@ class Player:
                     return
             # Threads that run Python wait for each other: a second one pays only where more frames wait.
             waiting = len(self._frames)
-            if self._alone and waiting > 0 and len(self._outcomes) < _AT_ONCE:
-                continue
-            if self._alone and waiting <= _AT_ONCE and self._measuring.acquire(blocking=False):
-                try:
-                    self._measure_outcomes(1)
-                finally:
-                    self._measuring.release()
-            else:
+            if not self._alone or waiting > _AT_ONCE or self._measuring.locked():
                 self._calls.put_newest(True)
+            else:
+                with self._measuring:
+                    self._measure_outcomes(_AT_ONCE if waiting else 1)
         for outcome in self._tracker.settle():
             self._outcomes.put(outcome)
 
@@ -466,26 +464,33 @@ class Player:
                 self._sink.event(item.name, item.frame, **item.facts)
                 log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
             elif item is not None:
-                frames, following = self._frames_from(item)
-                results = None if item.points is None else self._tracker.compute_results(frames)
+                frames = [item]
+                try:
+                    following = self._add_frames(frames)
+                    results = None if item.points is None else self._tracker.compute_results(frames)
+                except Exception:
+                    while self._outcomes.get(False) is not None:  # later frames, whose results would lack these
+                        pass
+                    for frame in frames:  # one at a time, to keep those before the fault
+                        self._pass_record(frame, self._tracker.compute_results([frame]), 0)
+                    raise
                 if not all(self._pass_record(frame, results, k) for k, frame in enumerate(frames)):
                     return
             item = following
 
-    def _frames_from(self, first: FrameOutcome) -> tuple[list[FrameOutcome], Event | FrameOutcome | None]:
-        """Collect up to `_AT_ONCE` frames that can be measured in one call, from `first` on; return them, and the next
+    def _add_frames(self, frames: list[FrameOutcome]) -> Event | FrameOutcome | None:
+        """Add frames that can be measured in one call with the first of `frames`, up to `_AT_ONCE`; return the next
         item of the queue, None if it has not come yet.
 
         One call takes less time than a call for each frame. A source that can wait always waits for more frames.
         """
-        frames = [first]
-        while len(frames) < _AT_ONCE and first.points is not None:
+        while len(frames) < _AT_ONCE and frames[0].points is not None:
             self._tracker.contact(frames[-1])  # while others are tracked
             item = self._outcomes.get(self._can_wait)
-            if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not first.seeding:
-                return frames, item
+            if not isinstance(item, FrameOutcome) or item.points is None or item.seeding is not frames[0].seeding:
+                return item
             frames.append(item)
-        return frames, None
+        return None
 
     def _pass_record(self, outcome: FrameOutcome, results: Mapping[str, Array] | None, k: int) -> bool:
         """Offer the results of a frame, the k-th of `results` and None without any, to the outputs, and queue a record

@@ -295,14 +295,21 @@ class StreamTracker:
         name.
 
         Frames are given in order, from any thread: tracking does not depend on the results. Several at once take less
-        time, and have the same results to rounding of float32.
+        time, and have the same results to rounding of float32. After an exception they can be computed again, without
+        displacements of skin in contact.
         """
         seeding, tracked = outcomes[0].seeding, [outcome.points for outcome in outcomes if outcome.points is not None]
         assert seeding is not None
         contacts = [self.contact(outcome) for outcome in outcomes]
         # The results do not use the mask, the largest part of a contact.
         contact = join([each._replace(real_contact_mask=None) for each in contacts])
-        results = self._results.compute(seeding, contact, join(tracked))
+        try:
+            results = self._results.compute(seeding, contact, join(tracked))
+        except Exception:  # some frames may have been counted: what is measured from the onset is unknown from here on
+            begun = seeding._replace(before=None)
+            for outcome in outcomes:
+                outcome.seeding = begun
+            raise
         for outcome, contact in zip(outcomes, contacts, strict=True):
             if contact.gross_area_px[0] > _LARGER * (self._largest[1].gross_area_px[0] if self._largest else 0):
                 self._largest = outcome.images[CONTACT_VIEW].copy(), contact

@@ -35,9 +35,6 @@ from fingerflow.tracker.subset_verification import Verification
 Array = NDArray[Any]
 Record = TypeVar("Record", FrameContact, FrameFields, TrackedPoints)
 
-_UNCERTAIN, _WINDOW_DIFFERS, _DUST_IN_WINDOW = (
-    int(status) for status in (TrackStatus.UNCERTAIN, TrackStatus.WINDOW_DIFFERS, TrackStatus.DUST_IN_WINDOW)
-)
 _MOST_VARIANCE = 1.0  # px^2, of a position, above which it is not located
 MOST_FRAMES = 8  # longest update interval of templates, for slow skin
 FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
@@ -51,12 +48,12 @@ class Knowledge:
         ahead: True if later frames are known. Several frames may then be tracked in one call, and a point that fails
             the verification is rejected in all frames since the check before.
         searched: largest number of points searched for in one round of a frame; None for all.
-        patience: frames for which a lost point is searched for; None for no limit.
+        patience: frames for which a lost point is searched for.
     """
 
     ahead: bool = True
     searched: int | None = None
-    patience: int | None = None
+    patience: float = math.inf
 
 
 RECORDING = Knowledge()
@@ -150,9 +147,8 @@ class Points:
     def as_seeded(self) -> TrackedPoints:
         """Return the tracking result (1, N) for the key frame itself, with all points at the seeded positions."""
         points = self.start[None]
-        exact = np.zeros(points.shape[:2], np.float32)
         status = np.where(is_finite(points), TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
-        unknown = np.where(is_finite(points), exact, np.float32(np.nan))
+        unknown = np.where(is_finite(points), np.float32(0), np.float32(np.nan))
         covariance = np.repeat(unknown, 4).reshape(*points.shape, 2)
         return TrackedPoints(points.copy(), unknown, covariance, status, points.copy())
 
@@ -222,9 +218,7 @@ class Points:
 
     def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
-        done = 0
-        for piece in pending.prepared:
-            done += len(piece.numbers)
+        done = sum(len(piece.numbers) for piece in pending.prepared)
         part = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[part]]
@@ -299,12 +293,9 @@ class Points:
 
         Return the result, and the points (N,) that were searched for (None if none).
         """
-        patience = self._knowledge.patience
-        searchable = self.motion.missing < (np.inf if patience is None else patience)
+        searchable = self.motion.missing < self._knowledge.patience
         lost = lost_points(tracked.status[0]) & searchable
-        if not np.logical_or.reduce(lost):
-            return tracked, None
-        if not self._engine.settings.search_px:
+        if not (self._engine.settings.search_px and np.logical_or.reduce(lost)):
             return tracked, None
         track, search = self._track_and_search(image, np.arange(len(self)))
         limits = self._knowledge.searched, self._predict_from_neighbours
@@ -332,7 +323,7 @@ class Points:
             corrected = Corrected(found, *(values[:, seeded] for values in corrected[1:]))
         found = corrected.found
         # Few neighbours give a deformation so uncertain that it puts the point many px off.
-        certain = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
+        certain = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), TrackStatus.UNCERTAIN)
         return corrected if certain is found else Corrected(certain, *corrected[1:])
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
@@ -412,8 +403,8 @@ class Points:
         if not np.logical_or.reduce(verified.differs | verified.held, axis=None):
             return points
         tracked = points.status == TRACKED
-        points = reject(points, tracked & verified.differs, _WINDOW_DIFFERS)
-        return reject(points, tracked & verified.held & ~verified.differs, _DUST_IN_WINDOW)
+        points = reject(points, tracked & verified.differs, TrackStatus.WINDOW_DIFFERS)
+        return reject(points, tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW)
 
     def _last_warp(self) -> Array:
         """Return the deformation gradients (N, 2, 2) of the skin around the points in the last frame relative to the

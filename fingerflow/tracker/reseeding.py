@@ -45,7 +45,7 @@ class ThresholdSearch:
 
     def passed_over(self) -> None:
         """Record that a frame is not usable; a threshold measurement planned in this frame moves to a later one."""
-        if self._asked is not None and self._found is None:
+        if self._found is None:
             self._asked = None
 
     def update(self, index: int, area: float, measured: float | None) -> bool:

@@ -9,7 +9,8 @@ from fingerflow.kernels.arrays import nanmedian
 
 Values = Any  # array with frames along the first axis, in memory or in a file
 
-_FRAMES_READ = 64  # frames in memory at a time
+#: Number of frames of a result that are read at a time.
+FRAMES_READ = 64
 _WINDOW = 12  # frames, the period of which a smooth path has half
 _LEAST_FRAMES = 3 * _WINDOW
 _COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
@@ -37,11 +38,11 @@ def vibration(
     result, steps = np.zeros((position.shape[0], 2)), np.full((len(frames), 3, 2), np.nan)
     some = slice(None, None, max(1, position.shape[1] // _COMPARED))
     before = np.full(position[:1][:, some].shape, np.nan)
-    for first in range(int(frames[0]), int(frames[-1]) + 1, _FRAMES_READ):
-        rows = np.flatnonzero((frames >= first) & (frames < first + _FRAMES_READ))
+    for first in range(int(frames[0]), int(frames[-1]) + 1, FRAMES_READ):
+        rows = np.flatnonzero((frames >= first) & (frames < first + FRAMES_READ))
         if not len(rows):
             continue
-        read = slice(first, first + _FRAMES_READ)
+        read = slice(first, first + FRAMES_READ)
         here, inside = (values[read][frames[rows] - first][:, some] for values in (position, in_contact))
         moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
         seen = np.isfinite(moved[..., 0])

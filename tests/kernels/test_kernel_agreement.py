@@ -24,10 +24,7 @@ from fingerflow.ops.tracking.templates import find_templates, prepare_templates
 from fingerflow.ops.tracking.track_points import track_points
 from fingerflow.synthetic import RidgeTexture
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off"),
-]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels, or turned off")]
 
 Portable = Callable[[Callable[[], object]], Any]
 DRAWS, POINTS = 50, 50

@@ -1,21 +1,15 @@
 """Tests of the compiled median against SciPy, with every instruction set of this processor."""
 
-import numpy as np
 import pytest
-import scipy.ndimage
 import torch
 
 from fingerflow.kernels import tensors as kernels
 from tests.kernels.kernel_images import images
+from tests.ops.filters.test_median import scipy_median
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 SHAPES = [(1, 1), (1, 300), (300, 1), (2, 3), (5, 8), (37, 41), (64, 129), (33, 800), (130, 65), (20, 1300)]
-
-
-def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
-    filtered = [scipy.ndimage.median_filter(frame[0], size, mode="nearest") for frame in frames.numpy()]
-    return torch.from_numpy(np.stack(filtered))[:, None]
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16])

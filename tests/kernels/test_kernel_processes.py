@@ -8,10 +8,7 @@ import pytest
 
 from fingerflow.kernels import tensors as kernels
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off"),
-]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels, or turned off")]
 
 BEGIN = """
 import os, signal, sys, threading

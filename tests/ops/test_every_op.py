@@ -157,10 +157,7 @@ def test_derivatives(name: str) -> None:
         (lambda frame: corner_response(frame, 3), [(1, 1, 6, 7)]),
         (principal_strains, [(5, 3)]),
         (rigid_residual, [(2, 8, 2), (2, 8, 2), (2, 8)]),
-        (
-            lambda *given: ops.local_gradients(*given[:2], gauge_length=3.0, variance=given[2]),
-            [(2, 8, 2)] * 2 + [(2, 8)],
-        ),
+        (lambda p, v, noise: ops.local_gradients(p, v, gauge_length=3.0, variance=noise), [(2, 8, 2)] * 2 + [(2, 8)]),
     ],
 )
 def test_derivatives_of_others(op: Callable[..., Any], shapes: list[tuple[int, ...]]) -> None:

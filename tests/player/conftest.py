@@ -13,15 +13,7 @@ import pytest
 from tiny_bundle import frame, write_bundle, write_scene
 
 from fingerflow import player
-from fingerflow.engines.bundle import Bundle
-from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.library import is_present
-
-
-def _named_onnx(bundle: Bundle, *_: Any) -> NativeEngine:
-    engine = NativeEngine(bundle.engine_settings)
-    engine.name = "onnx"
-    return engine
 
 
 class Ended(NamedTuple):
@@ -75,12 +67,6 @@ class Stream:
             return found
 
         return self.camera(lambda: grab)
-
-    def as_onnx(self) -> None:
-        """Let key frames and restarts take effect two frames later, as with ONNX Runtime, whose place the compiled
-        library takes.
-        """
-        self._monkeypatch.setattr("fingerflow.player.opening.engine_of_stream", _named_onnx)
 
     def run(self, *arguments: str) -> Ended:
         output = self.folder / "results"

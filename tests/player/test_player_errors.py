@@ -15,8 +15,10 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
+from fingerflow.engines.native import NativeEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.results.stream_folder import read_results
+from fingerflow.tracker.frame_results import FrameResults
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
@@ -27,21 +29,12 @@ CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 
         (
             "rows = [0, 64]",
             "rows = [0, 63]",
-            "scene.toml: views.contact of the scene is 63 x 96 px, the bundle was exported for 64 x 96",
+            "views.contact of the scene is 63 x 96 px, the bundle was exported for 64",
         ),
         # A threshold measured once may not take the place of one for each frame.
-        (
-            "threshold = 0.5",
-            'threshold = "per_frame"',
-            "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is "
-            'known before it comes: give a number, such as 0.25, or "reference_frame"',
-        ),
+        ("threshold = 0.5", 'threshold = "per_frame"', "known before it comes: give a number, such as 0.25, or"),
         # The graphs refer to onset: a stream would show another quantity under the same name.
-        (
-            "[contact]",
-            "[fields]\nreference = 12\n[contact]",
-            "fields.reference of the scene is 12; the graphs of a stream",
-        ),
+        ("[contact]", "[fields]\nreference = 12\n[contact]", "fields.reference of the scene is 12; the graphs of"),
         ('frames = "empty.npy"', 'frames = "nothing.npy"', "scene.toml: frames of [background] is"),
         ("[contact]", "[stream]\nregion = {rows = [0, 99], columns = [0, 9]}\n[contact]", "ends beyond"),
         (CALIBRATION, 'file = "nothing.toml"', "nothing.toml does not exist"),
@@ -246,6 +239,24 @@ def test_a_camera_that_ends_its_program_ends_the_stream(stream: Stream, error: t
     assert len(ended.results.records) == 2
 
 
+@pytest.mark.parametrize("part", [(NativeEngine, "contact"), (FrameResults, "_at_once")])
+def test_frames_before_a_fault_are_kept(stream: Stream, part: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = getattr(*part)
+
+    def fail_at_60_px(*arguments: Any) -> Any:
+        result = whole(*arguments)
+        area = result.real_area_px if part[1] == "contact" else result["real_contact_area"] * 4
+        if (area == 60).any():
+            raise ZeroDivisionError("a fault")
+        return result
+
+    monkeypatch.setattr(*part, fail_at_60_px)
+    with pytest.raises(ZeroDivisionError):
+        stream.run(*stream.recorded(8))
+    records = read_results(stream.folder / "results").records
+    np.testing.assert_array_equal(records["real_contact_area"], 10 * np.arange(6) / 4)
+
+
 def test_results_that_are_removed_while_playing_go_on_elsewhere(stream: Stream) -> None:
     def make() -> Any:
         given = iter(range(4))
@@ -286,13 +297,9 @@ def test_wrong_options_are_named(stream: Stream, arguments: tuple[str, ...], sai
     assert said in stream.refused(*(frames if one == "FRAMES" else one for one in arguments))
 
 
-def test_files_that_hold_no_frames_are_named(stream: Stream) -> None:
-    for name, content, said in (
-        ("frames.npy", b"no array", "not a NumPy file of plain numbers"),
-        ("frames.raw", b"12345", "needs --shape HEIGHT WIDTH"),
-        ("frames.avi", b"no video", "OpenCV"),
-    ):
-        (stream.folder / name).write_bytes(content)
-        assert said in stream.refused("--source", str(stream.folder / name))
-    np.save(stream.folder / "flat.npy", np.zeros(5, np.uint8))
-    assert "its array is (5,)" in stream.refused("--source", str(stream.folder / "flat.npy"))
+@pytest.mark.parametrize(
+    ("suffix", "said"), [("npy", "not a NumPy file"), ("raw", "needs --shape HEIGHT WIDTH"), ("avi", "OpenCV")]
+)
+def test_files_that_hold_no_frames_are_named(stream: Stream, suffix: str, said: str) -> None:
+    (stream.folder / f"frames.{suffix}").write_bytes(b"12345")
+    assert said in stream.refused("--source", str(stream.folder / f"frames.{suffix}"))

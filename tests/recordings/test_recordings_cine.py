@@ -79,13 +79,7 @@ EVEN = (np.arange(5) - 2) / 300
         (EVEN, 3000, 300, EVEN, ["3000 Hz", "300 Hz"]),  # every tenth frame was saved
         (EVEN - 9e5, 300, 300, EVEN, ["reset"]),
         ([0.0] * 5, 300, 300, EVEN, ["do not increase"]),
-        (
-            [-0.02, -0.01, 0, 0.04, 0.05],
-            100,
-            100,
-            [-0.02, -0.01, 0, 0.04, 0.05],
-            ["the first of 3 frames after frame 2"],
-        ),
+        ([-0.02, -0.01, 0, 0.04, 0.05], 100, 100, [-0.02, -0.01, 0, 0.04, 0.05], ["first of 3 frames after frame 2"]),
     ],
     ids=["stamps", "no stamps", "left out on saving", "reset clock", "no increase", "gap"],
 )

@@ -85,9 +85,11 @@ def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.Mon
     scene = load_scene(tmp_path / "press" / "scene.toml")
     (tmp_path / "notes.h5").write_bytes(b"years of work")
     monkeypatch.setattr("fingerflow.pipeline.run._run", lambda *_: pytest.fail("frames were read"))
-    for output, overwrite in ((tmp_path / "notes.h5", False), (tmp_path / "press" / "frames.npy", True)):
+    inputs = [tmp_path / "press" / name for name in ("forces.csv", "frames.npy", "empty.npy", "scene.toml")]
+    for output, overwrite in ((tmp_path / "notes.h5", False), *((path, True) for path in inputs)):
         before = output.read_bytes()
-        with pytest.raises(FingerflowError, match=r"overwrite|would be replaced"):  # an input is never replaced
+        message = "would be replaced" if overwrite else "--overwrite"  # an input is never replaced
+        with pytest.raises(FingerflowError, match=message):
             process(scene, to=output, overwrite=overwrite)
         assert output.read_bytes() == before
 

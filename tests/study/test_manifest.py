@@ -111,11 +111,7 @@ def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: 
         ("[study]", "[studies]", "studies is not a key; did you mean 'study'"),
         ('trials = "trials.csv"', 'trails = "trials.csv"', "study.trails is not a key; did you mean 'trials'"),
         ('trials = "trials.csv"', "trials = 3", "study.trials is 3"),
-        (
-            'trials = "trials.csv"',
-            'trials = "trials.csv"\ndesign = "2afc"',
-            "study.design is '2afc'; give 'forced choice' or",
-        ),
+        ('trials = "trials.csv"', 'trials = "trials.csv"\ndesign = "2afc"', "design is '2afc'; give 'forced choice'"),
         ('trials = "trials.csv"', "", "needs trials"),
         ("[study]", "[study", "is not valid TOML"),
     ],

@@ -66,12 +66,7 @@ def test_what_was_changed_elsewhere_meanwhile_is_replaced_with_leave_alone(press
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [
-        ("result.h5", b"\x89HDF\r\n"),
-        ("table.csv", b"frame,time (s)\n0,0\n"),
-        ("other.npy", b"\x93NUMPY"),
-        ("store", None),
-    ],
+    [("result.h5", b"\x89HDF\r\n"), ("a.csv", b"frame,time (s)\n0,0\n"), ("other.npy", b"\x93NUMPY"), ("store", None)],
 )
 def test_a_scene_replaces_no_file_of_another_kind(press: Path, name: str, content: bytes | None) -> None:
     draft, other = Draft.read(press / "scene.toml"), press / name

@@ -16,10 +16,9 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import USABLE
 from fingerflow.schema.views import View
+from fingerflow.tracker.vibration import FRAMES_READ
 
 S = TypeVar("S", bound="Stage")
-#: Number of frames of a result that are read or copied at a time.
-FRAMES_READ = 64
 
 
 @dataclass

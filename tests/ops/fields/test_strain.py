@@ -6,14 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.fields.strain import (
-    curl,
-    divergence,
-    green_lagrange,
-    principal_strains,
-    shear,
-    strain_energy_density,
-)
+from fingerflow.ops import curl, divergence, green_lagrange, strain_energy_density
+from fingerflow.ops.fields.strain import principal_strains, shear
 
 
 def rotation(angle: float) -> Tensor:

@@ -6,14 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.strain import (
-    curl,
-    divergence,
-    green_lagrange,
-    strain_energy_density,
-    strain_energy_density_std,
-)
+from fingerflow.ops import curl, divergence, green_lagrange, local_gradients, strain_energy_density
+from fingerflow.ops.fields.strain import strain_energy_density_std
 from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, field_std
 
 GAUGE = 2.0

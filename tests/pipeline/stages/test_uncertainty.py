@@ -22,7 +22,7 @@ from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 from fingerflow.tracker.contact_border import BORDER_MM
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # SPEED is that of the border, mm per frame
-WINDOW_PX, COPIES = 25, 40
+WINDOW_PX = 25
 
 
 class Motion(NamedTuple):

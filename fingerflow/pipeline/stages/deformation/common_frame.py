@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.stage import FRAMES_READ
 from fingerflow.results.store import Values
+from fingerflow.tracker.vibration import FRAMES_READ
 
 _NEIGHBOURS = 8  # nearest points from whose displacement that of a new point is extrapolated
 Points = NDArray[np.float64]

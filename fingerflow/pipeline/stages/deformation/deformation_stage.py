@@ -18,7 +18,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import resolve_reference
 from fingerflow.pipeline.stages.preparation.series import rate
-from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
@@ -30,7 +30,7 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
-from fingerflow.tracker.vibration import vibration, vibration_warning
+from fingerflow.tracker.vibration import FRAMES_READ, vibration, vibration_warning
 
 Points = NDArray[np.float64]
 

@@ -26,11 +26,11 @@ from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
+from fingerflow.tracker.vibration import FRAMES_READ
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
 _SPEED_S = 0.05  # s, time over which a speed is measured
-_FRAMES = 64  # frames in memory at a time
 _FEWEST_POINTS = 3  # least number of slipping points that define a direction
 _RATIO_NOISE = 0.006  # standard deviation of d^2 in a frame, measured on rendered trials
 # Ratio of the least slip limit to the displacement of the contour along which displacements are averaged: noise may be
@@ -211,8 +211,8 @@ class SlipStage(Stage):
             if border is not None:
                 border.settle()
             criterion = border or Length(self._grid, settings.stuck_mm, settings.criterion == "relative")
-            for first in range(0, len(self.trial), _FRAMES):
-                self._find_stuck(first, min(first + _FRAMES, len(self.trial)), self._grid, criterion)
+            for first in range(0, len(self.trial), FRAMES_READ):
+                self._find_stuck(first, min(first + FRAMES_READ, len(self.trial)), self._grid, criterion)
         self._warn_of_unknown()
         self._warn_of_noise()
         forces, ratio = self.known("load_ratio"), self.series["stuck_ratio"]
