@@ -62,13 +62,11 @@ class Findings:
             sentences.append(
                 "no point was found in any frame: check [views.topography] and the region of [stream], focus and light"
             )
-        if not threshold_known:
-            sentences.append(
-                "no frame showed a contact from which its threshold could be measured: areas are unknown or 0"
-            )
-        elif not self._contact:
+        if not self._contact:
             sentences.append(
                 "no frame showed a contact: if there was one, check [background], [views.contact] and contact.threshold"
+                if threshold_known
+                else "no frame showed a contact from which its threshold could be measured: areas are unknown or 0"
             )
         if self._unknown > _MANY * self._wide:
             sentences.append(

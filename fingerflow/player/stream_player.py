@@ -411,7 +411,7 @@ class Player:
         slot.number = self._first_number + self.frames_in
         slot.time, slot.arrival = times
         self._size = self._size or frame.shape
-        if frame.shape != self._size:
+        if frame.shape[:2] != self._size[:2]:  # `fill` refuses colours
             raise PlayerError(
                 f"{self.source_name}: frame {slot.number} is {frame.shape}, the background or the frames before are "
                 f"{self._size}: the views lie elsewhere in it; keep size, binning and region of the camera as they are"

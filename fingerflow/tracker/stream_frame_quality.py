@@ -104,9 +104,9 @@ class FrameCheck:
         return self._judged(picture if status == picture.status else picture._replace(status=status))
 
     def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
-        if frame.status != USABLE and not self._deferred:
-            return [], frame.status
         if not self._deferred:
+            if frame.status != USABLE:
+                return [], frame.status
             step = self._step_to(frame)
             if self._is_far(frame, step):
                 self._deferred.append(frame)

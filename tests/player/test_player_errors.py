@@ -210,7 +210,7 @@ def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pyt
         (np.pad(frame(), 1), "frame 2 is (66, 194), the background or the frames before are (64, 192)"),
         (frame().repeat(2, 0).repeat(2, 1), "frame 2 is (128, 384)"),
         (frame().T.copy(), "frame 2 is (192, 64)"),
-        (np.dstack([frame()] * 3), "frame 2 is (64, 192, 3)"),
+        (np.dstack([frame()] * 3), "a frame is (64, 192, 3), not (H, W): of a colour camera"),
         (frame().astype(np.uint16), "a frame is uint16, the bundle takes uint8 (bit_depth 8)"),
     ],
 )
