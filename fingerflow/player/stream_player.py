@@ -33,6 +33,7 @@ from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
+from fingerflow.tracker.reseeding import ThresholdSearch
 from fingerflow.tracker.vibration import vibration_warning
 
 log = logging.getLogger("fingerflow.player")
@@ -99,9 +100,11 @@ class Player:
         self.computed_by, self.source_name = computed_by, played.name
         self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source, self._first_number = source, played.open_source, played.first
-        # Slots in use: one is being filled, one is computed, up to LONGEST are deferred, up to _AT_ONCE are measured,
-        # one is drawn on the page. The others form the queue, whose length is limited.
-        slots = [Slot(bundle, played.scene) for _ in range(settings.queue + 3 + LONGEST + _AT_ONCE)]
+        # Slots in use: one is being filled, one is computed, up to LONGEST are deferred, up to EVERY - 1 wait for a
+        # threshold, up to _AT_ONCE are measured, one is drawn on the page. The others form the queue.
+        slots = [
+            Slot(bundle, played.scene) for _ in range(settings.queue + 2 + LONGEST + ThresholdSearch.EVERY + _AT_ONCE)
+        ]
         # Take the slot that was used last, which is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.process_all else 1)

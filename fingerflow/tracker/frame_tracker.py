@@ -15,6 +15,8 @@ step      changes due        reads   `_change`, `_search`
   │       (`Points.follow`)          prepared (`Points._pending`); `_first_threshold` before one applies
   │                          writes  `_latest`, motion; every 8th frame, or sooner where skin deforms fast: verification
   │                                  of windows, plan of new templates
+  │       no threshold yet   writes  `_held`: frames since the last in which it was measured, at most 3; they take that
+  │                                  of the next
   │       reseeding          reads   `_requested`: by the user; `_sparse`: contact with few points
   │                          writes  `_reseeding`: counts of lost and of few points; `_change`: what is due next
   │       learning           reads   `_unlearnt`: outcomes whose contact is not evaluated yet, 2 frames behind
@@ -221,7 +223,8 @@ class StreamTracker:
         self._requested = False
         self._deferred: deque[FrameOutcome] = deque()  # frames whose status later frames decide
         self._seeding: Seeding | None = None
-        self._first_threshold = math.nan
+        self._first_threshold = self.threshold
+        self._held: list[FrameOutcome] = []  # outcomes that wait for the first threshold
         self._sparse: _Sparse | None = None
         self._largest: tuple[Images, FrameContact] | None = None  # contact view with the largest contact, and contact
         # Outcomes of frames whose contact is not evaluated yet: its area tells when to measure the threshold again, and
@@ -239,7 +242,7 @@ class StreamTracker:
             tracker.inspect(frame)
             assert frame.picture is not None
             frame.picture = frame.picture._replace(status=USABLE)
-            for outcome in tracker.step(frame):
+            for outcome in (*tracker.step(frame), *tracker.settle()):
                 if isinstance(outcome, FrameOutcome):
                     tracker.compute_results([outcome])
 
@@ -277,18 +280,32 @@ class StreamTracker:
             decided, status = self._check.update(frame.picture)
             self._deferred.append(work)
             passed += self._decided(decided if status is None else [*decided, status])
-        while self._unlearnt and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
+        while len(self._unlearnt) > len(self._held) and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
 
     def _decided(self, statuses: list[int]) -> list[FrameOutcome]:
-        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes: a
-        usable frame updates points and templates, another is skipped.
+        """Finish the first of the deferred frames, whose `statuses` are now decided, and return the outcomes that are
+        final: a usable frame updates points and templates, another is skipped.
+
+        Until the first threshold is known, outcomes wait for the next frame in which it is measured. A contact that
+        begins between two such frames is then seen from its first frame on.
         """
-        return [
-            self._tracked(work) if status == USABLE else self._outcome(work, status)
-            for work, status in [(self._deferred.popleft(), status) for status in statuses]
-        ]
+        final: list[FrameOutcome] = []
+        for status in statuses:
+            work = self._deferred.popleft()
+            self._held.append(self._tracked(work) if status == USABLE else self._outcome(work, status))
+            if work.measured is not None or not math.isnan(self._first_threshold):
+                final += self._release()
+        return final
+
+    def _release(self) -> list[FrameOutcome]:
+        """Return the outcomes that wait for a threshold, with the first one if it is known."""
+        held, self._held = self._held, []
+        for outcome in held:
+            if outcome.status == USABLE and math.isnan(outcome.threshold):
+                outcome.threshold = self._first_threshold
+        return held
 
     def compute_results(self, outcomes: Sequence[FrameOutcome]) -> dict[str, Array]:
         """Compute the results of consecutive usable frames with points of one seeding, as arrays (n, ...) by variable
@@ -340,8 +357,8 @@ class StreamTracker:
             yield from check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
-        """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
-        return self._decided(self._check.finish())
+        """Finish the frames that still wait when the stream ends, and return their outcomes."""
+        return self._decided(self._check.finish()) + self._release()
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
@@ -426,11 +443,9 @@ class StreamTracker:
             points.pass_over(frame.number - self._latest - 1)
             tracked_points, self._latest = points.follow(work.images[TOPOGRAPHY_VIEW]), frame.number
         tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
-        if math.isnan(work.threshold):
-            # The first measured threshold applies at once, as there is no other yet.
-            if work.measured is not None and math.isnan(self._first_threshold):
-                self._first_threshold = work.measured
-            work.threshold = self._first_threshold
+        # The first measured threshold applies at once, as there is no other yet.
+        if work.measured is not None and math.isnan(self._first_threshold):
+            self._first_threshold = work.measured
         if self._change is None:
             cause = PAGE if self._requested else self._reseeding.update(self._index, frame.number, tracked)
             if cause:

@@ -13,9 +13,13 @@ class ThresholdSearch:
 
     Args:
         lag: frames after which a measured threshold applies.
+
+    Attributes:
+        EVERY: number of frames between two trials.
     """
 
-    _EVERY, _GROWTH = 4, 1.25
+    EVERY = 4
+    _GROWTH = 1.25
 
     def __init__(self, lag: int) -> None:
         self._lag = lag
@@ -40,7 +44,7 @@ class ThresholdSearch:
     def wants(self, index: int) -> bool:
         """Return whether the threshold is to be measured in frame `index`."""
         if self._searching:
-            return index % self._EVERY == 0
+            return index % self.EVERY == 0
         return self._asked is not None and index == self._asked + self._lag
 
     def passed_over(self) -> None:

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from fingerflow.tracker.frame_tracker import PAGE, FrameOutcome, StreamTracker
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM, join
 from fingerflow.tracker.reseeding import ReseedingSchedule
-from tests.small_trials import FRAMES, recipe_of_trials, write_library_bundle
+from tests.small_trials import FRAMES, TRIALS, edit, recipe_of_trials, write_library_bundle, write_scene_of_bundle
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 Array = np.ndarray[Any, Any]
@@ -89,6 +90,23 @@ def test_a_stream_equals_the_recording_bit_for_bit(
         medians = recorded[name].values.astype(np.float32)
         np.testing.assert_allclose(records[name][:frames][calm], medians[:frames][calm], rtol=0, atol=rounding)
         assert np.isfinite(medians[:frames][calm]).sum() > 25
+
+
+def test_contact_before_the_first_threshold_counts(played: dict[str, Trial], tmp_path: Path) -> None:
+    """A slow camera sees a contact grow by much between two frames in which the first threshold is searched for: the
+    frames between wait for it, so that areas and displacement count from the first frame with contact on.
+    """
+    scene = write_scene_of_bundle(
+        tmp_path / "slow", replace(TRIALS["press"], n_frames=16, frame_rate=60.0, frames_before_trigger=3)
+    )
+    edit(scene, ("threshold = 0.27\n", ""))
+    recorded, records = fingerflow.process(scene), Trial(scene, played["press"].bundle).play()
+    area = recorded["gross_contact_area"].values
+    np.testing.assert_allclose(records["gross_contact_area"], area, atol=0.02 * area.max())
+    for name in ("median_divergence", "global_displacement"):
+        off = np.abs(records[name] - recorded[name].values) / records[f"{name}_std"]
+        assert np.isfinite(off).sum() > 6
+        assert np.nanmax(off) < 1
 
 
 @pytest.mark.parametrize("before", ["tracked", "lost"])
