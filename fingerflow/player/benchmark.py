@@ -58,6 +58,8 @@ def _limit(busy: Mapping[str, float]) -> str:
         limit = "the processor, whose cores are all busy"
     elif most > _FULL:
         limit = f"the thread {name}, which is always busy"
-    else:
+    elif sum(busy.values()) > _FULL:
         limit = "threads that wait for each other, as only one of them runs Python at a time"
+    else:
+        limit = "other programs, which take the processor"
     return f"limit: {limit} (processor time of the threads: {shares} of a core)"

@@ -388,7 +388,7 @@ class Player:
         rate = stated or self.settings.rate
         if rate is not None and (stated or math.isnan(stamp)):
             return (self._first_number + self.frames_in) / rate
-        if math.isnan(stamp) and not self.frames_in:
+        if math.isnan(stamp) and not self.frames_in and self.source_name != "synthetic":
             log.warning("%s: `time` is that of arrivals here; state recording.frame_rate or --rate", self.source_name)
         return None if math.isnan(stamp) else stamp
 

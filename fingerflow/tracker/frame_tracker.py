@@ -12,7 +12,7 @@ step      changes due        reads   `_change`, `_search`
   │                          writes  the same, and `_same`: which of the last 16 repeat an earlier frame
   │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
   │       usable: tracking   reads   `_latest`, motion and templates of the key frame (`Points`), templates that are
-  │       (`Points.follow`)          prepared (`Points._pending`); `_first_threshold` before one applies
+  │       (`Points.follow`)          prepared (`Points._pending`)
   │                          writes  `_latest`, motion; every 8th frame, or sooner where skin deforms fast: verification
   │                                  of windows, plan of new templates
   │       no threshold yet   writes  `_held`: frames since the last in which it was measured, at most 3; they take that
@@ -223,7 +223,6 @@ class StreamTracker:
         self._requested = False
         self._deferred: deque[FrameOutcome] = deque()  # frames whose status later frames decide
         self._seeding: Seeding | None = None
-        self._first_threshold = self.threshold
         self._held: list[FrameOutcome] = []  # outcomes that wait for the first threshold
         self._sparse: _Sparse | None = None
         self._largest: tuple[Images, FrameContact] | None = None  # contact view with the largest contact, and contact
@@ -295,7 +294,7 @@ class StreamTracker:
         for status in statuses:
             work = self._deferred.popleft()
             self._held.append(self._tracked(work) if status == USABLE else self._outcome(work, status))
-            if work.measured is not None or not math.isnan(self._first_threshold):
+            if work.measured is not None or not math.isnan(self.threshold):
                 final += self._release()
         return final
 
@@ -304,7 +303,7 @@ class StreamTracker:
         held, self._held = self._held, []
         for outcome in held:
             if outcome.status == USABLE and math.isnan(outcome.threshold):
-                outcome.threshold = self._first_threshold
+                outcome.threshold = self.threshold
         return held
 
     def compute_results(self, outcomes: Sequence[FrameOutcome]) -> dict[str, Array]:
@@ -444,8 +443,8 @@ class StreamTracker:
             tracked_points, self._latest = points.follow(work.images[TOPOGRAPHY_VIEW]), frame.number
         tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
         # The first measured threshold applies at once, as there is no other yet.
-        if work.measured is not None and math.isnan(self._first_threshold):
-            self._first_threshold = work.measured
+        if work.measured is not None and math.isnan(self.threshold):
+            self.threshold = work.measured
         if self._change is None:
             cause = PAGE if self._requested else self._reseeding.update(self._index, frame.number, tracked)
             if cause:
