@@ -289,8 +289,7 @@ class Player:
         processed, stalled = 0, False
         while not self._finished.wait(_WATCH_INTERVAL) and not self._stop.is_set():
             now = time.perf_counter()
-            since = self._waiting_since
-            silent = now - since if since is not None else 0.0
+            silent = now - (self._waiting_since or now)
             if silent > _STALL_WARNING and not stalled:
                 self.stalls += 1
                 log.warning("%s: no frame for %.0f s", self.source_name, silent)
@@ -409,7 +408,7 @@ class Player:
         slot.number = self._first_number + self.frames_in
         slot.time, slot.arrival = times
         self._size = self._size or frame.shape
-        if frame.shape != self._size:
+        if frame.ndim == 2 and frame.shape != self._size:
             raise PlayerError(
                 f"{self.source_name}: frame {slot.number} is {frame.shape}, the background or the frames before are "
                 f"{self._size}: the views lie elsewhere in it; keep size, binning and region of the camera as they are"
