@@ -21,7 +21,7 @@ from fingerflow.engines import engine as arrays
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.contact_view import glass_light
-from fingerflow.engines.engine import noise_of
+from fingerflow.engines.engine import Array, noise_of
 from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.sessions import GraphSession, installed_providers
 from fingerflow.engines.torch import TorchEngine
@@ -29,7 +29,6 @@ from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
 
-Array = np.ndarray[Any, Any]
 Found = arrays.TrackedPoints
 
 PRESS = TRIALS["press"]

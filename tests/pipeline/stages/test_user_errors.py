@@ -1,13 +1,13 @@
 """Tests of user errors, which are reported with value and remedy, and of missing data, which the result states."""
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from fingerflow import process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.results.result import load_result, save_result
@@ -16,7 +16,6 @@ from fingerflow.synthetic import rebuild_scene
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
 
-Array = np.ndarray[Any, Any]
 AREAS = ["real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center"]
 FIXED = {'threshold = "reference_frame"': "threshold = 0.25"}
 PER_FRAME = {'threshold = "reference_frame"': 'threshold = "per_frame"'}
