@@ -336,7 +336,8 @@ class Player:
 
     def _capture(self) -> None:
         source: Source | None = self._source
-        attempt, start = 0, math.nan
+        attempt = 0
+        start = math.nan
         try:
             while not self._stop.is_set() and self.frames_in != self.settings.frames:
                 self._waiting_since = self._waiting_since or time.perf_counter()
