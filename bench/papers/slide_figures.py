@@ -42,7 +42,7 @@ def _picture(slides: Slides) -> Drawn:
     tails, tips = (to_pixels(position[at, shown], matrix) for at in (0, frame))
     axes.quiver(
         *tails.T, *(tips - tails).T, angles="xy", scale_units="xy", scale=1 / _ARROW_SCALE, color=RED, width=0.003
-    )  # fmt: skip
+    )
     stuck = float(result["stuck_ratio"][frame])
     return figure, (
         f"The contact view just before the collapse, with the displacement since the first frame as arrows at scale "

@@ -150,13 +150,13 @@ def _share_memory() -> None:
     ort.create_and_register_allocator(ort.OrtMemoryInfo("Cpu", *kinds), None)
 
 
-def _size(argument: Any, path: Path, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+def _size(value: Any, path: Path, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Return the shape and the dtype of an input of the graph `name`; an empty shape, which ONNX Runtime checks, if a
     size of it is free. Raise FingerflowError for another dtype, and for free sizes of other graphs than `ANY_NUMBER`.
     """
-    dtype = argument.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32")
-    fixed = all(isinstance(size, int) for size in argument.shape)
+    dtype = value.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32")
+    fixed = all(isinstance(size, int) for size in value.shape)
     if dtype not in _DTYPES or not (fixed or name in ANY_NUMBER):
-        what = f"{path}: {argument.name} is {argument.type} {argument.shape}"
+        what = f"{path}: {value.name} is {value.type} {value.shape}"
         raise FingerflowError(f"{what}; the engine needs a usual type and fixed sizes: export the bundle again")
-    return tuple(argument.shape) if fixed else (), np.dtype(dtype)
+    return tuple(value.shape) if fixed else (), np.dtype(dtype)

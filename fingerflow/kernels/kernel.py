@@ -192,7 +192,8 @@ class Kernel:
                 raise ValueError(f"kernel {self._name}: {number.name} is {numbers[number.name]}: give {number.where}")
         results: list[tuple[str, str, tuple[Any, ...] | None, bool]] = []
         for field, sizes in zip(self._results, self._shapes, strict=True):
-            shape, dtype = None, ""
+            shape = None
+            dtype = ""
             if values.get(field.name) is None and (not field.needs or values[field.needs] is not None):
                 dtype = field.dtypes[0] if field.dtypes else KINDS[values[field.like].dtype]
                 if isinstance(sizes, CodeType):

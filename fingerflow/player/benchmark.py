@@ -9,7 +9,8 @@ from typing import Any
 from fingerflow.kernels.kernel import cores
 from fingerflow.player.playing import play
 
-_FREE_S, _HELD_S = 3.0, 10.0  # s, length of the run as fast as possible, and of each run at a fixed rate
+_FREE_S = 3.0  # s, length of the run as fast as possible
+_HELD_S = 10.0  # s, length of each run at a fixed rate
 _SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # tried rates as shares of the rate of the first run
 _FULL = 0.9  # share of a core from which a thread, or all of them on all cores, count as busy
 _INTERVALS = 5  # number of frame intervals within which 99 % of the results must come

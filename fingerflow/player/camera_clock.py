@@ -14,9 +14,9 @@ _MOST_JUMPS = 3  # frames in a row in which stamps run ahead before their unit i
 _LEAST_PASSED = 0.1  # s, the same
 _UNITS = (1e-3, 1e-6, 1e-9, 60.0, 3600.0, 86400.0)  # s: what stamps count besides seconds
 _LEAST = 1e-9  # s between two frames that arrive at once
-# s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it. Share of it by which stamps fall
-# behind arrivals where they are in a larger unit than s, and in two windows in a row where they are of another rate.
-_WINDOW, _LATE, _OFF = 5.0, 0.97, 0.05
+_WINDOW = 5.0  # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it
+_LATE = 0.97  # share of the window by which stamps fall behind arrivals where they are in a larger unit than s
+_OFF = 0.05  # the same in two windows in a row where stamps are of another rate
 
 
 def unix_now() -> float:

@@ -294,8 +294,7 @@ class Player:
         processed, stalled = 0, False
         while not self._finished.wait(_WATCH_INTERVAL) and not self._stop.is_set():
             now = time.perf_counter()
-            since = self._waiting_since
-            silent = now - since if since is not None else 0.0
+            silent = now - (self._waiting_since or now)
             if silent > _STALL_WARNING and not stalled:
                 self.stalls += 1
                 log.warning("%s: no frame for %.0f s", self.source_name, silent)
@@ -342,7 +341,8 @@ class Player:
 
     def _capture(self) -> None:
         source: Source | None = self._source
-        attempt, start = 0, math.nan
+        attempt = 0
+        start = math.nan
         try:
             while not self._stop.is_set() and self.frames_in != self.settings.frames:
                 self._waiting_since = self._waiting_since or time.perf_counter()
@@ -414,7 +414,7 @@ class Player:
         slot.number = self._first_number + self.frames_in
         slot.time, slot.arrival = times
         self._size = self._size or frame.shape
-        if frame.shape[:2] != self._size[:2]:  # `fill` refuses colours
+        if frame.ndim == 2 and frame.shape != self._size:  # `fill` refuses colours
             raise PlayerError(
                 f"{self.source_name}: frame {slot.number} is {frame.shape}, the background or the frames before are "
                 f"{self._size}: the views lie elsewhere in it; keep size, binning and region of the camera as they are"

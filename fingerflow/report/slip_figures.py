@@ -41,7 +41,7 @@ def draw_motion(
     shown = np.isfinite(feet).all(1) & np.isfinite(arrows).all(1)
     axes.quiver(
         *feet[shown].T, *arrows[shown].T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.003, zorder=2
-    )  # fmt: skip
+    )
     for outline, colour, dashes, name in ((contact_outline, INK, "--", "contact"), (stuck_outline, RED, "-", "stuck")):
         if outline is not None and len(np.asarray(outline)):
             ring = np.asarray(outline, dtype=float)

@@ -205,7 +205,7 @@ PRINTED_CONTACT = (
 #: Names of the values of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
 TRACK_STATUS = (
     "tracked", "not_finite", "left_frame", "no_texture", "not_converged", "mismatch", "forward_backward", "uncertain",
-    "off_neighbours", "frame_not_usable", "window_differs", "not_seeded_yet", "dust_in_window")  # fmt: skip
+    "off_neighbours", "frame_not_usable", "window_differs", "not_seeded_yet", "dust_in_window")
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass",
         equation="s (A (x, 1)), A = calibration.topography_to_contact, x = x_px corrected for calibration.distortion"),

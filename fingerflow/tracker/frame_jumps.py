@@ -16,7 +16,8 @@ _LEAST_EXCESS, _FAR = 0.25, 16.0
 NEARBY = 8  # number of steps before and after a frame from which ordinary distances are estimated
 # Added to the limit of the excess for moving skin, which may jerk: a step may then be 1.8 times an ordinary one.
 _JERK = 2.0
-_USUAL, _SLOW = 0.9, 0.1  # quantile of the excesses that counts as usual; quantile of the steps that counts as noise
+_USUAL = 0.9  # quantile of the excesses that counts as usual
+_SLOW = 0.1  # quantile of the steps that counts as noise
 _BACK = 0.6  # the image returns if both ends differ by less than this share of the longer way, there or back
 # Least limit of the excess in the first and last frames, where no frames beyond tell whether the image returns.
 _LEAST_AT_END = 1.25

@@ -18,7 +18,8 @@ Array = NDArray[Any]
 _STEPS = 64  # number of latest steps between usable frames from which ordinary steps are estimated
 _REMEMBERED = 512  # number of latest usable frames with which a frame is compared to detect a copy
 _RETURNS = 3  # number of jumps and returns in the last `_RECENT` frames from which on the finger counts as vibrating
-_KNOWN, _RECENT = 8, 16  # frames after which repetitions are judged, and frames over which they are counted
+_KNOWN = 8  # frames after which repetitions are judged
+_RECENT = 16  # frames over which they are counted
 _LIT = 0.3  # share of the mean light: lines of the empty glass with less are not checked
 
 

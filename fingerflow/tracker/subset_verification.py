@@ -12,8 +12,8 @@ from fingerflow.tracker.window_match import Sampler, compare, deformed_alike, sh
 Array = NDArray[Any]
 
 _ALIKE = 0.05  # 1 - correlation that is always allowed; for ridges with a period of 15 px a shift by 1.5 px exceeds it
-# Multiple of the median 1 - correlation over all points that is allowed if it is more, and upper bound of this limit.
-_USUAL, _MOST = 4.0, 0.2
+_USUAL = 4.0  # multiple of the median 1 - correlation over all points that is allowed if it is more
+_MOST = 0.2  # upper bound of this limit
 _NOISE = 3.0  # allowed multiple of the loss of correlation due to the noise of two images
 _PEAK = 3.5  # multiple of the usual residual of windows above which a single residual stands out
 # Something else than skin holds a point beyond all three limits: its distance from the position at which most samples

@@ -77,7 +77,8 @@ def test_curved() -> None:
     rows = curved.run(quick=True)
     ours, peer = (one(rows, field="K 100, A 0.5", tracker=tracker) for tracker in ("fingerflow", "opencv"))
     assert number(ours, "rms_px") < 0.45 * number(peer, "rms_px")
-    assert number(ours, "rms_px") < 0.016
+    for field, most in (("K 50, A 0.1", 0.0168), ("K 100, A 0.5", 0.0138), ("star", 0.0193)):  # 3 % over measured
+        assert number(one(rows, field=field, tracker="fingerflow"), "rms_px") < most
     assert 0.75 < number(ours, "z") < 1.3
     assert 0.85 < number(one(rows, field="uniform", tracker="fingerflow"), "z") < 1.15
 

@@ -15,7 +15,7 @@ from torch.utils._pytree import tree_map
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import TOLERANCES, BuiltIn, built_in, check_engine, expected_of, numbers_of
 from fingerflow.engines.choice import open_onnx
-from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.engine import Array, Engine, EngineSettings
 from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.native import NativeEngine
 from fingerflow.engines.torch import TorchEngine
@@ -26,7 +26,6 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.schema.recipe import GRAPHS, GraphName
 from tests.without_kernels import without_kernels
 
-Array = np.ndarray[Any, Any]
 Change = Callable[[Any], Any]
 
 SETTINGS = EngineSettings(window_px=15, gauge_length_mm=2.0)

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
-from fingerflow.engines.engine import EngineSettings
+from fingerflow.engines.engine import Array, EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.kernels import tensors as kernels
@@ -21,7 +20,6 @@ from tests.small_trials import TINY_PRESS, TRIALS
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-Array = NDArray[Any]
 Portable = Callable[[Callable[[], Any]], Any]
 Threads = Callable[[int], None]
 

@@ -32,10 +32,9 @@ PICTURES = {"frame_check", "contact", "tracking"}
 CHANGES: dict[str, tuple[str, str, set[str]]] = {
     "gauge length": ("gauge_length_mm = 1.6", "gauge_length_mm = 1.1", {"deformation", "strain"}),
     "stiffness": ("young_modulus_mpa = 1.0", "young_modulus_mpa = 0.5", {"deformation", "strain"}),
-    "threshold": ('threshold = "reference_frame"', "threshold = 0.3",
-                  {"contact", "tracking", "deformation", "strain"}),
+    "threshold": ('threshold = "reference_frame"', "threshold = 0.3", {"contact", "tracking", "deformation", "strain"}),
     "slip, which nothing asks for": ("# [slip]", "# changed [slip]", set()),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -163,15 +163,6 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
     )
 
 
-def test_what_stays_is_the_new_state(small: Small) -> None:
-    """Every frame counts after the light of the contact view falls to 70 % for good."""
-    frames = small.frames.copy()
-    frames[40:] = np.stack([small_trials.dim_contact(one) for one in frames[40:]])
-    played = small.play(frames)
-    assert _status_of(played.records) == {}
-    assert np.isfinite(played.records["real_contact_area"][43:]).all()
-
-
 def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
     """The player says so where all frames are dark, and where no frame shows a contact."""
     small.play(np.full_like(small.frames[:8], 8))

@@ -1,15 +1,13 @@
 """Tests of a stream by ONNX Runtime: it has the same numbers at any pace, and with frames computed side by side."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from fingerflow import player
 from tests.small_trials import write_trial
-
-Array = np.ndarray[Any, Any]
 
 
 class Runtime(NamedTuple):

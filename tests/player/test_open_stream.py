@@ -15,6 +15,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.report import write_report
 from fingerflow.tracker.frame_results import RESULTS
 
+RATE = "[recording]\nframe_rate = 40.0\n"
+FAST = ("--rate", "40")
+
 
 @pytest.fixture
 def played(stream: Stream) -> Path:
@@ -49,13 +52,15 @@ def test_report_and_tables(played: Path, tmp_path: Path) -> None:
         write_report(fingerflow.open_stream(played), None, played)
 
 
-@pytest.mark.parametrize(("rate", "warned"), [("", True), ("[recording]\nframe_rate = 40.0\n", False)])
-def test_time_is_that_of_the_recording_and_warnings_are_kept(rate: str, warned: bool, stream: Stream) -> None:
+@pytest.mark.parametrize(("rate", "options", "warned"), [("", (), True), (RATE, (), False), ("", FAST, False)])
+def test_time_is_that_of_the_recording_and_warnings_are_kept(
+    rate: str, options: tuple[str, ...], warned: bool, stream: Stream
+) -> None:
     """With a frame rate `time` is that of the recording; without one it is that of arrivals, as a warning of the data
     set says.
     """
     stream.scene.write_text(stream.scene.read_text() + rate)
-    assert stream.run(*stream.recorded(8), "--policy", "every").code == 0
+    assert stream.run(*stream.recorded(8), "--policy", "every", *options).code == 0
     result = fingerflow.open_stream(stream.folder / "results")
     assert ("`time` is that of arrivals" in result.attrs["warnings"]) == warned
     assert np.array_equal(result["time"], np.arange(8) / 40) != warned

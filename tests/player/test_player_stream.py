@@ -13,9 +13,11 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame
 
 from fingerflow import player
+from fingerflow.engines.native import NativeEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream_player as stream_module
+from fingerflow.tracker.frame_results import FrameResults
 from fingerflow.tracker.frame_tracker import Frame, StreamTracker
 from fingerflow.tracker.reseeding import ReseedingSchedule
 
@@ -150,22 +152,36 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
     assert said[0] == said[1]
 
 
-@pytest.mark.parametrize("failing", [0, 2])
+@pytest.mark.parametrize(
+    ("part", "name", "failing"),
+    [
+        (StreamTracker, "step", 0),
+        (StreamTracker, "step", 2),
+        (NativeEngine, "contact", 6),
+        (FrameResults, "compute", 6),
+    ],
+)
 def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
-    stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, part: type, name: str, failing: int
 ) -> None:
-    """A frame that fails ends the stream with the records of all frames before it."""
-    step = StreamTracker.step
+    """A frame that fails ends the stream with the records of all frames before it, also of those with which it is
+    measured in one call.
+    """
+    whole = getattr(part, name)
 
-    def fail(tracker: StreamTracker, frame: Frame) -> Any:
-        passed = step(tracker, frame)
-        if tracker.seeded and frame.number == failing:  # without points in the warm-up
+    def fail(first: Any, *others: Any) -> Any:
+        passed = whole(first, *others)
+        if name == "step":
+            fails = first.seeded and others[0].number == failing  # without points in the warm-up
+        else:
+            fails = 10 * failing in (passed if name == "contact" else others[1]).real_area_px
+        if fails:
             raise RuntimeError("broken engine")
         return passed
 
-    monkeypatch.setattr(StreamTracker, "step", fail)
+    monkeypatch.setattr(part, name, fail)
     with pytest.raises(RuntimeError, match="broken engine"):
-        stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every")
+        stream.run(*stream.recorded(9))
     results = stream.folder / "results"
     assert results.is_dir() == (failing > 0)  # no empty folder is left
     if failing:

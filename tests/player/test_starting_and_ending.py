@@ -20,6 +20,8 @@ def test_a_start_that_fails_leaves_no_results(stream: Stream) -> None:
     def no_camera() -> Any:
         raise OSError("no such camera")
 
+    for shape in ((64, 192, 3), (64, 192, 4), (1, 64, 192)):
+        assert "of a colour camera; set it to grey" in stream.refused(*stream.frames([np.zeros(shape, np.uint8)]))
     assert "frame 0 is (64, 96)" in stream.refused(*stream.frames([np.zeros((HEIGHT, WIDTH), np.uint8)]))
     assert "cannot be opened (OSError: no such camera)" in stream.refused(*stream.camera(no_camera))
     ended = stream.run(*stream.frames([]))

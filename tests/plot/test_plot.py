@@ -84,14 +84,19 @@ def test_maps_of_two_recordings_differ_and_are_theirs(quantity: str, trials: lis
 
 
 def test_the_mask_is_what_was_counted(trials: list[Trial]) -> None:
-    """The area of the drawn contact mask equals the real contact area of that frame, pixel for pixel."""
+    """The area of the drawn contact mask equals the real contact area of that frame, pixel for pixel; the legend has
+    its mean colour.
+    """
     for scene, result in trials:
         for frame in (8, 15):
-            picture = plot.picture(result, scene, frame).images[0].get_array()
+            axes = plot.picture(result, scene, frame)
+            picture = axes.images[0].get_array()
             mask = picture[..., 0] != picture[..., 2]  # grey pixels are not in contact
             area = mask.sum() * scene.calibration.mm_per_px**2
             assert area == pytest.approx(float(result["real_contact_area"][frame]), rel=1e-9)
             assert area > 1
+            [swatch] = [line.get_color() for line in axes.lines if line.get_label() == "touches"]
+            np.testing.assert_allclose(255 * swatch, picture[mask].mean(0), atol=0.5)
 
 
 def test_the_picture_has_a_scale_bar_of_its_length(trials: list[Trial]) -> None:

@@ -59,7 +59,7 @@ def test_frames_that_fit_into_memory_are_decoded_once(tmp_path, reads):
     "key",
     [slice(2, 9, 3), slice(8, 1, -2), slice(5, 5), slice(-3, None), [-1, 0, 0], [], np.array([4, -2]), range(1, 8, 2)],
     ids=str,
-)  # fmt: skip
+)
 def test_slices_and_lists_choose_as_numpy_does(path, key):
     recording = open_recording(path, frame_rate=100)
     expected = FRAMES[np.asarray(key, dtype=int) if isinstance(key, (list, range)) else key]

@@ -147,13 +147,14 @@ def test_tiff_interval_of_imagej(tmp_path, unit, seconds):
     assert recording.times[2] == pytest.approx(0.008)
 
 
-def test_tiff_bit_depth_is_the_tag(tmp_path):
-    frames = GREY16[0, :, :] >> 4
-    # 12 bits per sample, packed by rows; the library can only write whole bytes.
-    rows = b"".join(pack_bits(row, 12) for row in frames)
-    (tmp_path / "a.tif").write_bytes(_baseline_tiff(30, 20, 12, rows))
+@pytest.mark.parametrize("bits", [10, 12, 14])
+def test_tiff_bit_depth_is_the_tag(tmp_path, bits):
+    frames = GREY16[0, :, :] >> (16 - bits)
+    # Samples are packed by rows; the library can only write whole bytes.
+    rows = b"".join(pack_bits(row, bits) for row in frames)
+    (tmp_path / "a.tif").write_bytes(_baseline_tiff(30, 20, bits, rows))
     recording = open_recording(tmp_path / "a.tif")
-    assert recording.bit_depth == 12
+    assert (recording.bit_depth, recording.warnings) == (bits, ())
     np.testing.assert_array_equal(recording[0], frames)
 
 

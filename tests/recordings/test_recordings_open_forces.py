@@ -255,11 +255,13 @@ def test_matlab_v73(tmp_path):
 def tdms(path, **properties):
     properties = {"wf_increment": 0.001, "wf_start_offset": 0.0, "unit_string": "N"} | properties
     with TdmsWriter(path) as writer:
-        writer.write_segment([
-            ChannelObject("forces", "normal", NORMAL, properties),
-            ChannelObject("forces", "tangential", TANGENTIAL, properties),
-            ChannelObject("sync", "trigger", TRIGGER, properties | {"unit_string": "V"}),
-        ])  # fmt: skip
+        writer.write_segment(
+            [
+                ChannelObject("forces", "normal", NORMAL, properties),
+                ChannelObject("forces", "tangential", TANGENTIAL, properties),
+                ChannelObject("sync", "trigger", TRIGGER, properties | {"unit_string": "V"}),
+            ]
+        )
     return path
 
 

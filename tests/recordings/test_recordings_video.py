@@ -124,6 +124,13 @@ def test_time_stamps_tell_dropped_frames_from_a_missing_end(tmp_path, name, firs
     np.testing.assert_allclose(recording.times, (np.array(ticks) - first) / 1000)
 
 
+@pytest.mark.parametrize("codec", ["mpeg2video", "mpeg4", "libx264"])
+@pytest.mark.parametrize("options", [{}, {"flags": "+ilme+ildct", "top": "1"}])
+def test_an_interlaced_video_is_named(tmp_path, codec, options):
+    path = write_video(tmp_path / "a.mkv", frames_of(8), codec, "yuv420p", rate=25, **options)
+    assert ("the video is interlaced" in " ".join(open_recording(path).warnings)) == bool(options)
+
+
 def test_mp4_without_its_index_is_refused(tmp_path):
     path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[:-2000])

@@ -35,7 +35,7 @@ READ = {
     "quoted decimal commas": (HEADING + re.sub(r"(\d)\.(\d+)", r'"\1,\2"', LINES)).encode(),
     "quoted cells": (HEADING + re.sub(r"([\d.]+)", r'"\1"', LINES)).encode(),
     "a comma in a quoted name": ('"time (s)","Fz (N)","Fx, left (N)"\n' + re.sub("\n", ",0\n", LINES)).encode(),
-}  # fmt: skip
+}
 REFUSED = {
     "German thousands": ("time (s);Fz (N)\n0,001;1.234\n0,002;1.235\n", "thousands"),
     "either": ("time (ms)\tFz (mN)\n0\t1,234\n1\t1,236\n", "'1,234' may be decimal or have a thousands mark"),

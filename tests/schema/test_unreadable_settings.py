@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError
 from fingerflow.results.stream_folder import read_results
 from fingerflow.schema.calibration_file import read_calibration
@@ -36,11 +35,13 @@ def test_values_beyond_all_measure(tmp_path: Path, read: Callable[[Path], Any], 
         read(tmp_path / "a.toml")
 
 
-@pytest.mark.parametrize(("read", "name"), [(load_bundle, "bundle.json"), (read_results, "header.json")])
-def test_nesting_in_what_the_player_reads(tmp_path: Path, read: Callable[[Path], Any], name: str) -> None:
-    (tmp_path / name).write_text(DEEP)
-    with pytest.raises(FingerflowError, match=r"recursion.*copy"):
-        read(tmp_path)
+@pytest.mark.parametrize(
+    ("text", "said"), [(DEEP, "recursion"), *((f'{{"format": {n}}}', f"of format {n}, ") for n in "19")]
+)
+def test_headers_of_results_that_the_player_cannot_read(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "header.json").write_text(text)
+    with pytest.raises(FingerflowError, match=said):
+        read_results(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["a\\u0000b", "x" * 5000])

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from fingerflow import process
-from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.engine import Array, Engine, EngineSettings
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.synthetic import Slide
@@ -23,7 +22,6 @@ from fingerflow.tracker.subset_verification import Verification
 from fingerflow.tracker.window_match import fit_shifts
 from tests.small_trials import SMALL_PRESS, warnings_of, write_small
 
-Array = NDArray[Any]
 Make = Callable[[EngineSettings], Engine]
 WINDOW = 25
 SETTINGS = EngineSettings(window_px=WINDOW)

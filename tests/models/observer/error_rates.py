@@ -78,9 +78,11 @@ def counted(seed: int, guess: float | None, people: int = 8, trials: int = 14) -
     stimuli = np.linspace(0, 3, 7)
     answers = draw.binomial(trials, lowest + height * stats.norm.cdf((stimuli - middles) / 0.5))
     blocks = {
-        "stimulus": np.tile(stimuli, people), "answers": answers.ravel(), "trials": np.full(answers.size, trials),
+        "stimulus": np.tile(stimuli, people),
+        "answers": answers.ravel(),
+        "trials": np.full(answers.size, trials),
         "participants": np.repeat(np.arange(people), 7),
-    }  # fmt: skip
+    }
     return blocks, 1.3 + float(np.hypot(0.4, 0.5) * stats.norm.ppf((0.75 - lowest) / height))
 
 

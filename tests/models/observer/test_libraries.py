@@ -54,8 +54,6 @@ OLS = ols("answer ~ x + C(who):C(group)", TABLE).fit(cov_type="cluster", cov_kwd
 OLS_ERROR = OLS.bse["x"] * math.sqrt(OLS.df_resid / (56 - 1))
 P = {"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.8, "e": 0.9}  # beside one that is unknown
 CASES = {
-    "Pearson": (observer.pearson(X, Y, WHO).value, stats.pearsonr(X, Y).statistic),
-    "Spearman": (observer.spearman(X, Y, WHO).value, stats.spearmanr(X, Y).statistic),
     "one-way": ((ONE_WAY.f, ONE_WAY.p), tuple(stats.f_oneway(*(X[k == GROUP] for k in range(4))))),
     "repeated F": (FULL.f, RM["F Value"].iloc[0]),
     "repeated degrees": (FULL.degrees, (RM["Num DF"].iloc[0], RM["Den DF"].iloc[0])),

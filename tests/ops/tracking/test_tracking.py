@@ -61,7 +61,7 @@ def test_error_is_at_the_bound_and_without_bias(points: Tensor, noise: float, fr
     """
     start = points + fraction
     errors = []
-    for seed, shift in enumerate((0.0, 0.25, 0.5, 0.9)):
+    for seed, shift in enumerate((0.0, 0.25, 0.5, 0.9, 1.0, -1.0)):
         if noise == 0 and shift == 0:
             continue  # equal images without motion: the result is exact
         motion = (shift, 0.6 * shift)

@@ -1,20 +1,18 @@
 """Tests of the checks of settings against data: each warning from its numbers, and in a scene that causes it."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from fingerflow import process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.report import write_report
 from fingerflow.tracker.faint_rim import check_faint_rim
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
-
-Array = np.ndarray[Any, Any]
 
 
 def test_what_is_plausible_says_nothing() -> None:
@@ -90,6 +88,9 @@ def test_pictures_that_contradict_the_settings_are_said(changed: Change, frames:
     fixed = {'threshold = "reference_frame"': "threshold = 0.27"}
     finger = process(changed(fixed, empty=frames[3]), ["gross_contact_area"])
     assert "background.frames is darker than frame 0 in " in warnings_of(finger)
+    for first in ("# first_frame = 0", "first_frame = 2"):
+        with pytest.raises(FingerflowError, match="the background is the recording itself"):
+            process(changed({"# first_frame = 0": first}, empty=frames))
     dim = frames.copy()
     dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
     warnings = warnings_of(process(changed(fixed, frames=dim), ["gross_contact_area"]))

@@ -1,13 +1,13 @@
 """Tests of user errors, which are reported with value and remedy, and of missing data, which the result states."""
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from fingerflow import process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.results.result import load_result, save_result
@@ -16,7 +16,6 @@ from fingerflow.synthetic import rebuild_scene
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
 
-Array = np.ndarray[Any, Any]
 AREAS = ["real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center"]
 FIXED = {'threshold = "reference_frame"': "threshold = 0.25"}
 PER_FRAME = {'threshold = "reference_frame"': 'threshold = "per_frame"'}
@@ -33,6 +32,10 @@ def glass(press: Path) -> Array:
     ("old", "new", "message"),
     [
         ("columns = [0, 120]", "columns = [200, 320]", r"scene\.toml: views\.topography .*\[200, 320\]"),
+        ("columns = [120, 240]", "columns = [120, 121]", "its shorter side is 1 px, and a view needs 9; give more"),
+        ("columns = [120, 240]", "columns = [120, 128]", "its shorter side is 8 px"),
+        ("rows = [0, 96]  ", "rows = [0, 4]  ", "views.contact is a table: its shorter side is 4 px"),
+        ("gross_radius_px = 8", "gross_radius_px = 200", "a third of the contact view's shorter side fits, 32 px"),
         ("trigger_frame = 1 ", "trigger_frame = 8", r"trigger_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
         ("# first_frame = 0", "first_frame = 8", r"first_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
         ('trigger = "trigger"', 'trigger = "start"', "forces.csv: has no column 'start'; its columns are .*'trigger'"),
