@@ -441,12 +441,11 @@ class Player:
                 if not self._outcomes.put(outcome):  # the stream has failed
                     return
             # Threads that run Python wait for each other: a second one pays only where more frames wait.
-            waiting = len(self._frames)
-            if not self._alone or waiting > _AT_ONCE or self._measuring.locked():
+            if not self._alone or len(self._frames) > _AT_ONCE or self._measuring.locked():
                 self._calls.put_newest(True)
             else:
                 with self._measuring:
-                    self._measure_outcomes(_AT_ONCE if waiting else 1)
+                    self._measure_outcomes()
         for outcome in self._tracker.settle():
             self._outcomes.put(outcome)
 
@@ -455,13 +454,13 @@ class Player:
     def _measure(self) -> None:
         while self._calls.get():
             with self._measuring:
-                self._measure_outcomes(_AT_ONCE if self._alone else 1)
-        self._measure_outcomes(1)
+                self._measure_outcomes()
+        self._measure_outcomes()
 
-    def _measure_outcomes(self, least: int) -> None:
-        """Measure the queued frames and pass on their records, until fewer than `least` are left."""
+    def _measure_outcomes(self) -> None:
+        """Measure the tracked frames and pass on their records, `_AT_ONCE` at a time while others wait."""
         item: Event | FrameOutcome | None = None
-        while item is not None or len(self._outcomes) >= least:
+        while item is not None or len(self._outcomes) >= (_AT_ONCE if self._alone and self._frames else 1):
             item, following = item or self._outcomes.get(), None
             if isinstance(item, Event):
                 self._sink.event(item.name, item.frame, **item.facts)

@@ -24,7 +24,7 @@ step      changes due        reads   `_change`, `_search`
   v
 compute_  contact, covered   reads   `threshold` as of the frame
 results   slip               writes  `SlipFlag`: positions at onset, frames in a row that say otherwise
-(another  onset              writes  `Touches`: first frame, position and share of a step of each touch
+(any      onset              writes  `Touches`: first frame, position and share of a step of each touch
 thread)   entry              writes  `Entries`: positions, variances and borders of the last 512 frames
   │       deviations         writes  every 4th frame `Curvature`, every 8th `Deformation` and errors of onset
   v
@@ -185,7 +185,7 @@ class StreamTracker:
     """Tracker of a stream: state between frames, and the method `step` for each frame.
 
     `step` decides with the frames before it whether a frame counts, and tracks the points of one that does.
-    `compute_results` computes contact and results in another thread, while the next frames are
+    `compute_results` computes contact and results, in another thread where frames wait to be
     tracked. Both take frames in order. The results of a frame depend only on the frames before it, not on wall-clock
     time or on the progress of threads.
 
