@@ -50,7 +50,7 @@ _SENTENCES = {  # log messages by the names of the tracker's events
     "key_frame": "{points} points followed from a new key frame",
     "threshold": "threshold {threshold:.4f} of the intensity lost",
 }
-_AT_ONCE = 4  # largest number of frames that are measured at once, and that may wait before another thread measures
+_AT_ONCE = 4  # largest number of frames that are measured at once
 _RECORDS_WAITING = 512  # number of queued records, of more than a second: the time that a slow disk may take to sync
 
 
@@ -440,8 +440,8 @@ class Player:
             for outcome in self._tracker.step(slot):
                 if not self._outcomes.put(outcome):  # the stream has failed
                     return
-            # Threads that run Python wait for each other: a second one pays only where more frames wait.
-            if not self._alone or len(self._frames) > _AT_ONCE or self._measuring.locked():
+            # Threads that run Python wait for each other: a second one pays only where several frames wait.
+            if not self._alone or len(self._frames) > 1 or self._measuring.locked():
                 self._calls.put_newest(True)
             else:
                 with self._measuring:
