@@ -165,7 +165,7 @@ class NativeEngine:
         median, median_std, known_share = self._medians((reference[None], sharp, noise), ellipse, entered)
         parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
         fields = _fields(parts, self.settings.strain)
-        shear = np.stack((parts[0] - parts[3], parts[1] + parts[2]), axis=-1).reshape(batch, count, 2)
+        shear = np.array((parts[0] - parts[3], parts[1] + parts[2])).T.reshape(batch, count, 2)
         divergence_std = curl_std = None
         if spread is not None:
             divergence_std, curl_std = _root(np.array((divergence_variance(spread), curl_variance(spread))))
@@ -206,8 +206,8 @@ class NativeEngine:
         displacements and covariances of points.
         """
         measure, (reference, displacement, covariance) = self.settings.strain, points
-        center, semi_axes, angle = (part.astype(np.float32) for part in ellipse)
-        ellipses = np.column_stack((center, semi_axes, np.cos(angle), np.sin(angle)))
+        center, semi_axes, angle = [part.astype(np.float32) for part in ellipse]
+        ellipses = np.concatenate((center, semi_axes, np.array((np.cos(angle), np.sin(angle))).T), 1)
         among = fields = deviations = None
         if entered is not None:
             among = entered.among

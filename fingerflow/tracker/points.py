@@ -218,7 +218,7 @@ class Points:
 
     def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
-        done = sum(len(piece.numbers) for piece in pending.prepared)
+        done = sum([len(piece.numbers) for piece in pending.prepared])
         part = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[part]]
@@ -228,7 +228,7 @@ class Points:
         self._update_templates()
         guess = self.expect()
         if len(images) == 1:
-            tracked = self._engine.track(self._templates, images, guess, np.zeros_like(guess)).found
+            tracked = self._engine.track(self._templates, images, guess, np.zeros(guess.shape, np.float32)).found
             tracked, jolted = self._recovered(images, guess, tracked)
             before, corrected = self.motion, self._corrected(tracked, around)
             self.motion = before.update(corrected.found.points[0], self._gap + 1, corrected.expected[0], jolted)
@@ -240,7 +240,7 @@ class Points:
     def _track_image(self, image: Images, guess: Array, rows: Array) -> TrackedPoints:
         """Track the points with indices `rows` in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
-        return self._engine.track(self._templates, image, guess, np.zeros_like(guess), rows).found
+        return self._engine.track(self._templates, image, guess, np.zeros(guess.shape, np.float32), rows).found
 
     def _finish_images(self, images: Images, followed: Followed, around: TrackedPoints | None) -> TrackedPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
