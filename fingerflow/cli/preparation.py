@@ -12,12 +12,12 @@ from fingerflow.errors import FingerflowError
 @app.command()
 def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml")) -> None:
     """Write a commented scene file: a template to fill in."""
-    from fingerflow.results.atomic_write import write_atomically
+    from fingerflow.results.atomic_write import write_text
     from fingerflow.schema.scene_template import scene_text
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
-    write_atomically(path, lambda part: part.write_text(scene_text(), encoding="utf-8"))
+    write_text(path, scene_text())
     typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
 
 

@@ -31,7 +31,7 @@ from fingerflow.report.overlay import write_overlay
 from fingerflow.report.practice_table import practice_tables
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
-from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
+from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_text
 from fingerflow.schema.scene import Scene
 
 _MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain", "decorrelation")
@@ -200,7 +200,7 @@ def write_report(
         )
     )
     path = folder / "report.html"
-    write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
+    write_text(path, html)
     return path
 
 

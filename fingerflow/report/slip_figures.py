@@ -27,8 +27,8 @@ def draw_motion(
     axes: Axes,
     points: ArrayLike,
     displacement: ArrayLike,
-    contact_outline: ArrayLike | None = None,
-    stuck_outline: ArrayLike | None = None,
+    contact_outline: ArrayLike | None,
+    stuck_outline: ArrayLike | None,
 ) -> Axes:
     """Draw figure 1: displacement of the skin as arrows in true length, with outlines of contact and stick region.
 
@@ -134,8 +134,8 @@ def draw_over_time(
     time: ArrayLike,
     stuck_area: ArrayLike,
     verdict: TrialVerdict,
-    area_std: ArrayLike | None = None,
-    printed_area: ArrayLike | None = None,
+    area_std: ArrayLike | None,
+    printed_area: ArrayLike | None,
 ) -> Axes:
     """Draw figure 2 d: the stuck area relative to the contact area, d^2, against time (s), with the collapse and the
     start of full slip that `verdict` states.

@@ -246,8 +246,7 @@ class _Trial:
     @cached_property
     def _verdict(self) -> dict[str, Any]:
         """Return the verdict on the loss of the stuck area, with NaN where it states nothing."""
-        attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
-        judged = json.loads(attributes.get("verdict") or "{}")
+        judged = json.loads((self._result[_JUDGED].attrs if _JUDGED in self._result else {}).get("verdict") or "{}")
         return {name: np.nan if value is None else value for name, value in judged.items()}
 
     @cached_property

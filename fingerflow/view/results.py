@@ -260,7 +260,7 @@ class Results:
         if last not in LABELS:
             return values
         if part == "length":
-            return np.asarray(np.linalg.norm(values, axis=-1))
+            return np.linalg.norm(values, axis=-1)
         if part not in LABELS[last]:
             raise FingerflowError(f"{key}: the components are {', '.join(LABELS[last])}")
         return values[..., LABELS[last].index(part)]

@@ -148,8 +148,7 @@ class Session:
         packed bytes.
         """
         points, frame, warnings = self._previewer().chosen()
-        first = self._previewer().scene.recording.first_frame
-        facts = {"frame": frame + first, "warnings": [*map(reword, warnings)]}
+        facts = {"frame": frame + self._previewer().scene.recording.first_frame, "warnings": [*map(reword, warnings)]}
         return packed(facts, {"points": points.astype(np.float32)})
 
     def forces(self) -> bytes:
@@ -251,9 +250,8 @@ class Session:
         self._runs["process"] = Command(arguments, to)
         return self.progress("process")
 
-    def report(self, request: Mapping[str, Any]) -> Facts:
+    def report(self) -> Facts:
         """Start `fingerflow report`, which writes `report.html` and `overlay.mp4` into the scene's folder."""
-        del request
         self._refuse_two()
         result, scene = self._opened_result().path, self._result_scene().path
         self._runs["report"] = Command(["report", scene, "--result", result], scene.parent / "report.html")

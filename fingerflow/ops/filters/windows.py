@@ -150,8 +150,7 @@ def take_lines(planes: Tensor, first: Tensor, length: int) -> Tensor:
     """
     if not len(first):
         return planes.new_empty(*first.shape, length)
-    lines = planes.flatten().unfold(0, length, 1).index_select(0, first.flatten())
-    return lines.reshape(*first.shape, length)
+    return planes.flatten().unfold(0, length, 1).index_select(0, first.flatten()).reshape(*first.shape, length)
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:

@@ -57,8 +57,7 @@ def track_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
         "y": position[:, 1],
         "x": position[:, 0],
     }
-    named = _select(result, variables, ("frame", "point")) if variables else ()
-    for values in named:
+    for values in _select(result, variables, ("frame", "point")) if variables else ():
         columns |= {name: column.T.reshape(-1) for name, column in _component_columns(values).items()}
     tracked = np.isfinite(position).all(1)
     return {name: column[tracked] for name, column in columns.items()}
