@@ -1,7 +1,7 @@
 """Commands that prepare a scene: `init`, `keys`, `info` and `calibrate`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -111,7 +111,7 @@ def calibrate(
         ring, target, background, views, hole_radius_mm, output, overwrite, chessboard, corners
     )
     scale = calibration.mm_per_px, calibration.mm_per_px_std
-    facts: dict[str, Any] = {
+    facts = {
         "mm_per_px": scale[0] if as_json else format_uncertainty(*scale),
         "mm_per_px_std": scale[1],
         "hole_radius_px": calibration.hole.radius_px,

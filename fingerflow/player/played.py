@@ -132,5 +132,4 @@ def mean_view(
         source.close()
     if not count:
         raise PlayerError(f"{path}: has no frame; one of the empty glass is needed")
-    mean: Array = (total / count).astype(np.float32)
-    return mean, None if size == view.shape else size
+    return (total / count).astype(np.float32), None if size == view.shape else size

@@ -66,7 +66,7 @@ def is_monotonic(result: xr.Dataset) -> bool:
 
 def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
     values = result[force].values.astype(np.float64)
-    finite: NDArray[np.float64] = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     return median_filter(finite, _SMOOTHED, mode="nearest") if len(finite) else finite
 
 

@@ -177,7 +177,7 @@ def draw_partial_slip(axes: Axes, mu_s: float, mu_k: float, name: str, width: fl
     # Space the loads quadratically: near the critical load the area changes too fast for equal steps.
     smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
     largest = float(critical_load_ratio(mu_s, mu_k))
-    load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)
+    load = largest * (1 - np.linspace(1, 0, 400) ** 2)
     axes.plot(load, stuck_area(load, mu_s, mu_k), color=INK, linewidth=width, label=name)
     if smallest > 0:
         axes.plot([largest, largest], [smallest, 0], ":", color=INK)

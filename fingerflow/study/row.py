@@ -61,7 +61,7 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, Curve]]:
     standard deviation treats their errors as independent.
     """
     trial = _Trial(result)
-    row: dict[str, Any] = dict.fromkeys(NUMBERS)
+    row = dict.fromkeys(NUMBERS)
     row |= trial.trial_numbers()
     for name in AT_MOMENTS:
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")

@@ -278,8 +278,7 @@ def _draw_real_share(
     fall = 1 - design.real_area_fall * design._share(amplitude)
     person = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
     noise = _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
-    share = mean / apparent / fall.mean() * fall * person * noise
-    return np.clip(share, *_SHARES)
+    return np.clip(mean / apparent / fall.mean() * fall * person * noise, *_SHARES)
 
 
 def _peak_values(design: Design, softness: Values, amplitude: Values, force: Values) -> tuple[Values, Values]:

@@ -156,7 +156,7 @@ class ChainPress(SyntheticScene):
         """
         held = time - self.contact_time - self.rise_time
         whole = float(self.times[-1]) - self.contact_time - self.rise_time
-        return np.asarray(np.clip(held / whole, 0, 1)) if whole > 0 else np.zeros_like(held)
+        return np.clip(held / whole, 0, 1) if whole > 0 else np.zeros_like(held)
 
     @property
     def _path_force(self) -> float:

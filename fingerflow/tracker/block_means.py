@@ -94,7 +94,7 @@ def is_noise(frames: Array, roughness: float) -> Array:
     have a period of 4 px or more, the mean squared difference at least doubles, and mostly becomes four times as large.
     """
     near = strip_differences(frames, 1)
-    noise: Array = near > roughness**2
+    noise = near > roughness**2
     if np.logical_or.reduce(noise, None):
         noise &= strip_differences(frames, 2) < _ALIKE * near
     return np.logical_or.reduce(noise, 1)

@@ -530,10 +530,9 @@ class StreamTracker:
         cosine, sine = math.cos(sparse.angle), math.sin(sparse.angle)
         about_center = self._to_contact.copy()
         about_center[:, 2] -= sparse.center
-        to_axes = np.array([[cosine, sine], [-sine, cosine]]) @ about_center
         along, across = (
             (by_x * columns).astype(np.float32) + (by_y * rows + shift).astype(np.float32)
-            for by_x, by_y, shift in to_axes
+            for by_x, by_y, shift in np.array([[cosine, sine], [-sine, cosine]]) @ about_center
         )
         inside, around = (
             self._settings.region & (np.square(along / major) + np.square(across / minor) < 1)

@@ -75,9 +75,8 @@ class Verification:
         `warp` (N, 2, 2) is the deformation gradient in the last image, NaN where it is not known.
         """
         frames = len(images)
-        tracked = status == TRACKED
         # Number of the last image with the point tracked, counted from 1; 0 if there is none.
-        last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
+        last = ((status == TRACKED) * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)
         positions = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
 

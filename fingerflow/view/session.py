@@ -132,8 +132,8 @@ class Session:
             raise FingerflowError(
                 f"frame {frame} is not among the {len(pictures.recording)} of {pictures.recording.path}"
             )
-        facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
-        arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
+        facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
+        arrays = {"picture": pictures.picture(frame)}
         if contact:
             try:
                 facts["numbers"], maps = self._contact_facts(self._previewer(), frame)
@@ -286,8 +286,7 @@ class Session:
 
     def result(self) -> Facts:
         """Return metadata of the result, the views of its scene and properties of its recording."""
-        result = self._opened_result()
-        facts = result.facts()
+        facts = self._opened_result().facts()
         try:
             scene = self._result_scene()
             facts["views"] = {name: {"rows": view.rows, "columns": view.columns} for name, view in scene.views.items()}
@@ -299,9 +298,8 @@ class Session:
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
         """Return the values of a frame of the result as packed bytes, with its image if the recording can be read."""
-        result = self._opened_result()
-        numbers, arrays = result.frame(frame, shown)
-        facts: Facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
+        numbers, arrays = self._opened_result().frame(frame, shown)
+        facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
         try:
             scene = self._result_scene()
             pictures = self._shown_pictures(scene.recording.frames, None)

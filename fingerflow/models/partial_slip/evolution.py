@@ -108,10 +108,7 @@ def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
 
 
 def _arguments(first: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, ...]:
-    result: tuple[Tensor, ...] = torch.broadcast_tensors(
-        torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k)
-    )
-    return result
+    return torch.broadcast_tensors(torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k))
 
 
 def _friction(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, Tensor]:

@@ -96,10 +96,9 @@ def fit_friction(
 
     if too_few:
         return fit(np.full(4, np.nan), np.full((2, 4), np.nan), too_few)
-    draws = _block_weights(area.size, resamples, seed)
     estimates, (estimate,) = (
         _friction_numbers(fit_family(PARTIAL_SLIP, area, load, noise, weights)[0])
-        for weights in (draws, np.ones((1, area.size)))
+        for weights in (_block_weights(area.size, resamples, seed), np.ones((1, area.size)))
     )
     intervals = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2], axis=0)
     width = intervals[1, 2] - intervals[0, 2]

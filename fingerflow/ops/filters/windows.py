@@ -34,8 +34,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
     if not images.requires_grad and not torch.compiler.is_exporting():
         wide = F.pad(images, (size, size, 0, 0), mode="replicate")
         column = (corner[:, 0, None] + size).clamp(0, width + size)
-        first = (row + image_index[:, None] * height) * wide.shape[3] + column
-        return take_lines(wide, first, size)
+        return take_lines(wide, (row + image_index[:, None] * height) * wide.shape[3] + column, size)
     # The gradient with respect to the view in `take_lines` would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
     return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])

@@ -78,7 +78,7 @@ def _raw(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
     if shape is None:
         raise PlayerError(f"{path}: a raw file needs --shape HEIGHT WIDTH and --dtype of its frames")
     pixels = np.memmap(path, np.dtype(dtype), "r")
-    frames: Array = pixels[: len(pixels) - len(pixels) % math.prod(shape)].reshape(-1, *shape)
+    frames = pixels[: len(pixels) - len(pixels) % math.prod(shape)].reshape(-1, *shape)
     if not len(frames):
         raise PlayerError(
             f"{path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed: it has "

@@ -111,8 +111,7 @@ def kernel_half_width(nyquist: float) -> float:
     """Return half the length, s, of the low-pass kernel for a Nyquist frequency (Hz), from its transition width by
     Kaiser's rule.
     """
-    transition = (STOP_BAND - PASS_BAND) * nyquist
-    return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
+    return (STOP_BAND_DB - 7.95) / (14.36 * ((STOP_BAND - PASS_BAND) * nyquist)) / 2
 
 
 @cache

@@ -366,7 +366,7 @@ class DeformationStage(Stage):
         share = np.minimum(1, BORDER_MM / inwards)
         earlier = np.where(self._seen, 0, ndtr(self._depth / BORDER_MM))
         before = np.square(position - displacement - self._place).sum(-1)
-        result: Points = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
+        result = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
         return np.nan_to_num(result)
 
     def _select_positions(self, frames: NDArray[np.integer]) -> tuple[Points, Points]:

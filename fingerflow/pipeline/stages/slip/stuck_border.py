@@ -233,8 +233,7 @@ class Length:
             return np.zeros_like(contact)
         weights = torch.from_numpy(held.astype(np.float64))[None]
         left = rigid_residual(torch.from_numpy(self._grid.points)[None], torch.from_numpy(moved)[None], weights)
-        slipped = self._grid.displacement(left[0].numpy())
-        length = self._grid.fine(np.linalg.norm(slipped, axis=-1))
+        length = self._grid.fine(np.linalg.norm(self._grid.displacement(left[0].numpy()), axis=-1))
         # Leave out skin near the limit: some of it has slipped already and would bias the fitted motion of the glass.
         self._held = held & (self._grid.sample_points(length) < _HELD_SHARE * self._limit)
         return contact & (length < self._limit)
