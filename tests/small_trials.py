@@ -104,8 +104,7 @@ def write_bundle_of_trials(folder: Path) -> Path:
     recipe, verification = beside(folder)
     views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
     recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {json.dumps(GRAPHS)}\n", encoding="utf-8")
-    found = export_bundle(recipe, folder)
-    verification.write_text(json.dumps(found), encoding="utf-8")
+    verification.write_text(json.dumps(export_bundle(recipe, folder)), encoding="utf-8")
     return folder
 
 

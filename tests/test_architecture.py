@@ -130,10 +130,9 @@ def test_every_variable_is_put_under_its_literal_name() -> None:
     """The name of every variable of results stands literally in a stage, the tracker or the player, or has a formula
     beside its definition, so that a search for the name finds where it is computed.
     """
-    rooms = ("pipeline/stages", "tracker", "player")
     texts = {
         node.value
-        for room in rooms
+        for room in ("pipeline/stages", "tracker", "player")
         for path in (PACKAGE / room).rglob("*.py")
         for node in ast.walk(_tree(path))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)

@@ -65,8 +65,7 @@ def test_the_same_points_are_chosen(said: Said) -> None:
 
 
 def test_areas_are_equal(said: Said) -> None:
-    counted = said.torch["gross_contact_area"].values > 0
-    assert counted.sum() > 50
+    assert (said.torch["gross_contact_area"].values > 0).sum() > 50
     limits = {"real_contact_area": 0, "gross_contact_area": 0, "ellipse_semi_axes": 1e-3, "ellipse_angle": 1e-3}
     for name, limit in limits.items():
         for other in (said.onnx[name].values, *(live[name] for live in said.played)):

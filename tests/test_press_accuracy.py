@@ -71,8 +71,7 @@ def test_pages_state_the_table_of_the_demo(result: xr.Dataset) -> None:
             stated = numbers(cell.partition("(")[0].partition(" of ")[0])
             wanted = measured if len(stated) == len(measured) else [max(measured)]
             assert not stated or all(map(agree, stated, wanted)), (name, stated, measured)
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    words = " ".join(readme.split())
+    words = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     sentence = words[words.index("The press of `make demo`") : words.index("A whole recording takes")]
     press = [rows[f"{name} contact area"] for name in ("real", "gross")]
     measured = [rows["position of a point, last frame"][0], *press[0], *press[1], *rows["median divergence"]]

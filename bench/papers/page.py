@@ -12,7 +12,7 @@ from jinja2 import Environment
 from bench.papers.drawn import DrawnFigure
 from bench.papers.printed import PREDICTED, PUT_IN, SETTING, Answer
 from fingerflow import __version__
-from fingerflow.results.atomic_write import MARK, write_atomically
+from fingerflow.results.atomic_write import MARK, write_text
 
 #: Papers in the order of the page, with their titles.
 TITLES = {
@@ -35,7 +35,7 @@ def write_results(folder: Path, paper: str, about: str, rows: Sequence[Answer], 
         "figures": [asdict(one) for one in figures],
     }
     text = json.dumps(content, indent=1, ensure_ascii=False)
-    write_atomically(folder / f"{paper}.json", lambda part: part.write_text(text + "\n", encoding="utf-8"))
+    write_text(folder / f"{paper}.json", text + "\n")
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
@@ -57,5 +57,5 @@ def write_page(folder: Path) -> Path:
     template = Environment(autoescape=True).from_string(Path(__file__).with_name("page.html").read_text("utf-8"))
     html = template.render(papers=read_results(folder), mark=MARK)
     path = folder / "index.html"
-    write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
+    write_text(path, html)
     return path

@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from fingerflow.models.partial_slip.verdict import Outcome
 from fingerflow.report.slip_trials import SlipTrial
-from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_text
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene
 from fingerflow.study.init import init_study
@@ -149,4 +149,4 @@ def _write_sets(path: Path, slides: dict[str, LinearSlip]) -> None:
     for name, slide in slides.items():
         participant, trial = name.split("/")
         lines.append(f"{participant.removeprefix('p')},{trial.removeprefix('trial')},,{kind_of(slide)}")
-    write_atomically(path, lambda part: part.write_text("\n".join(lines) + "\n", encoding="utf-8"))
+    write_text(path, "\n".join(lines) + "\n")

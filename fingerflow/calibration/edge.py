@@ -227,5 +227,4 @@ def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.
     variance = len(distances) / 2 * float(np.mean(amplitudes**2))
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
-    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return float(np.sqrt(np.linalg.eigvalsh((variance * np.linalg.pinv(jacobian.T @ jacobian))[:2, :2])[-1]))

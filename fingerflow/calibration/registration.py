@@ -72,8 +72,7 @@ def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
     center = source.mean(axis=0)
     if np.linalg.matrix_rank(source - center, tol=1e-9 * (np.abs(source - center).max() + 1e-300)) < 2:
         raise FingerflowError(f"the points {source.tolist()} lie on a line; an affine transform needs a triangle")
-    linear = np.linalg.lstsq(source - center, target - target.mean(axis=0), rcond=None)[0].T
-    return _transform(linear, source, target)
+    return _transform(np.linalg.lstsq(source - center, target - target.mean(axis=0), rcond=None)[0].T, source, target)
 
 
 def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
@@ -150,7 +149,7 @@ def _best_pair(
 
     def score(distortion: Array) -> Array:
         cost = np.where(distortion < MOST_DISTORTION, (distortion / TYPICAL_DISTORTION) ** 2, np.inf)
-        return np.asarray(np.exp(weight - (cost + size_cost) / 2))
+        return np.exp(weight - (cost + size_cost) / 2)
 
     proper_score, mirrored_score = score(proper), score(mirrored)
     first, second = np.unravel_index(np.argmax(proper_score), proper_score.shape)

@@ -1,7 +1,7 @@
 """Commands that prepare a scene: `init`, `keys`, `info` and `calibrate`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -12,12 +12,12 @@ from fingerflow.errors import FingerflowError
 @app.command()
 def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml")) -> None:
     """Write a commented scene file: a template to fill in."""
-    from fingerflow.results.atomic_write import write_atomically
+    from fingerflow.results.atomic_write import write_text
     from fingerflow.schema.scene_template import scene_text
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
-    write_atomically(path, lambda part: part.write_text(scene_text(), encoding="utf-8"))
+    write_text(path, scene_text())
     typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
 
 
@@ -111,7 +111,7 @@ def calibrate(
         ring, target, background, views, hole_radius_mm, output, overwrite, chessboard, corners
     )
     scale = calibration.mm_per_px, calibration.mm_per_px_std
-    facts: dict[str, Any] = {
+    facts = {
         "mm_per_px": scale[0] if as_json else format_uncertainty(*scale),
         "mm_per_px_std": scale[1],
         "hole_radius_px": calibration.hole.radius_px,

@@ -13,6 +13,7 @@ import numpy as np
 from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import Array, Corrected, Engine, EnteredPoints, FrameEllipse, TrackedPoints
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.arrays import identities
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 # Threshold of the relative intensity loss. It lies between those of two grey levels, even if the illumination gain is
@@ -195,7 +196,7 @@ def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     count, few = len(frame.points), frame.few
     images = engine.images(frame.topography[None])
     templates = engine.prepare(engine.images(frame.key[None]), frame.points)
-    still, straight = np.zeros_like(frame.expected), np.broadcast_to(np.eye(2, dtype=np.float32), (count, 2, 2)).copy()
+    still, straight = np.zeros_like(frame.expected), identities(count).copy()
     found = engine.track(templates, images, frame.expected, still).found
 
     def correct(points: TrackedPoints) -> Corrected:

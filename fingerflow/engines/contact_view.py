@@ -47,7 +47,7 @@ def covers(density_margin: Array, points: Array, topography_to_contact: Array, c
         x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
     size = np.array(density_margin.shape[:-3:-1], np.float32)[:, None, None]  # width, height
     position = (np.stack((x, y)) - np.float32((cell - 1) / 2)) / np.float32(cell)
-    inside: Array = np.all((position >= -0.5) & (position < size - 0.5), axis=0)  # False where it is not finite
+    inside = np.all((position >= -0.5) & (position < size - 0.5), axis=0)  # False where it is not finite
     # Interpolate bilinearly; beyond the middle of the outermost cells the nearest cell counts.
     position = np.clip(np.where(inside, position, np.float32(0)), 0, size - 1)
     first = np.minimum(np.floor(position), np.maximum(size - 2, 0))

@@ -21,7 +21,7 @@ from fingerflow.engines.engine import (
     reject_outliers,
 )
 from fingerflow.kernels import tracking
-from fingerflow.kernels.arrays import KINDS, inverse_2x2
+from fingerflow.kernels.arrays import KINDS, inverse_2x2, is_finite
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
@@ -72,8 +72,7 @@ class NativeEngine:
     def contact(self, images: Array, light: GlassLight, threshold: Array | None = None) -> FrameContact:
         radius = self.settings.gross_radius_px
         if threshold is None:
-            unknown = np.full(len(images), np.nan, np.float32)
-            gains = self.contact(images, light, unknown).illumination_gain
+            gains = self.contact(images, light, np.full(len(images), np.nan, np.float32)).illumination_gain
             sizes = {"median_px": self.settings.median_px, "radius": radius, "stride_px": self.settings.stride_px}
             threshold = contact_threshold(images, *light, gains, **sizes)
         mask, density_margin, numbers, gains = compiled("contact_of_frames")(
@@ -184,7 +183,7 @@ class NativeEngine:
         noise = None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
         fit = local_gradients(reference, rest, reference, noise, radius=self.settings.gauge_length_mm / 2)
         gradient, spread = fit.gradient, fit.covariance
-        lost = ~np.isfinite(rest[..., 0] + rest[..., 1])
+        lost = ~is_finite(rest)
         added = np.float32(SHARPENED) * (rest - fit.value)
         sharp = displacement + np.where(np.isfinite(added), added, 0)
         gradient[lost] = _UNKNOWN
@@ -192,7 +191,7 @@ class NativeEngine:
             spread[lost] = _UNKNOWN
         if entered is not None:
             # A lost point has no gradient.
-            valid = entered.among & np.isfinite(displacement[..., 0] + displacement[..., 1])
+            valid = entered.among & is_finite(displacement)
             gradient[valid] = entered.gradient[valid]
             if spread is not None and entered.covariance is not None:
                 spread[valid] = entered.covariance[valid]

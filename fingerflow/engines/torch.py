@@ -79,8 +79,7 @@ class TorchEngine(GraphEngine):
 
 def as_array(tensor: Tensor) -> Array:
     """Return a tensor as an array; on the CPU they share memory."""
-    array: Array = tensor.detach().cpu().numpy()
-    return array
+    return tensor.detach().cpu().numpy()
 
 
 def images_on(device: torch.device, frames: Array) -> Tensor:

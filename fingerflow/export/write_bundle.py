@@ -129,8 +129,7 @@ def _bundle(recipe: Recipe, expected: Mapping[str, Any], folder: Path) -> None:
         (folder / name).write_bytes((package / "export" / "template" / name).read_bytes())
     write_facts(asdict(recipe), expected, folder)
     scene = (package / "export" / "template" / "scene.toml").read_text(encoding="utf-8")
-    text = scene_for(scene, recipe.views.height, recipe.views.width)
-    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    (folder / "scene.toml").write_text(scene_for(scene, recipe.views.height, recipe.views.width), encoding="utf-8")
 
 
 def write_facts(recipe: Mapping[str, Any], expected: Mapping[str, Any], folder: Path) -> None:

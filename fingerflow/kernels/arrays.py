@@ -147,3 +147,13 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     last = len(flat) - 1  # upper bound of the index, which may lie beyond the end where all values are NaN
     low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(count - 1, 0) // 2, count // 2))
     return np.where(count > 0, (low + high) / 2, np.nan).astype(np.float64)
+
+
+def is_finite(points: NDArray[Any]) -> NDArray[Any]:
+    """Return a mask (...) of the points (..., 2) with known positions: both components are finite."""
+    return np.isfinite(points[..., 0] + points[..., 1])
+
+
+def identities(*counts: int) -> NDArray[np.float32]:
+    """Return read-only identity matrices (*counts, 2, 2)."""
+    return np.broadcast_to(np.eye(2, dtype=np.float32), (*counts, 2, 2))

@@ -144,7 +144,7 @@ class _Network:
     def needed(self, outputs: list[Operand]) -> set[int]:
         """Return the planes that the outputs depend on, without the inputs."""
         comparisons = list(self.comparisons)
-        found: set[int] = set()
+        found = set()
         waiting = [output.plane for output in outputs]
         while waiting:
             plane = waiting.pop()

@@ -98,8 +98,7 @@ def median_table(size: int) -> tuple[int, ...]:
     outputs = [scratch.slots[output.plane] for output in order.program.outputs]
     head = [rows, columns, order.program.reach[1], len(kept), scratch.count, order.warm_up, order.lines]
     head += [ahead, len(steps)]
-    depths = order.kept_rows.values()
-    table = (*head, *outputs, *depths, *(number for step in steps for number in step))
+    table = (*head, *outputs, *order.kept_rows.values(), *(number for step in steps for number in step))
     assert max(table) < 1 << 16
     return table
 

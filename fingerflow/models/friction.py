@@ -75,6 +75,5 @@ def _on_plate(
         done, sign, sign * (1 - left * fraction) - sign * limit * (rest * of_left + left * rest * distance / limit)
     )
     over = np.abs(after) > last
-    end_sign = np.where(after < 0, -1.0, 1.0)
-    above = np.where(over, -end_sign * steep, -of_limit * steep / 2)
+    above = np.where(over, -np.where(after < 0, -1.0, 1.0) * steep, -of_limit * steep / 2)
     return np.clip(after, -last, last), np.where(done | over, 0.0, along), above

@@ -162,8 +162,7 @@ def _try_step(
     end, last_rubbing, arrow = second
     last_velocity = (end - base) / c
     curved = state.velocity / GAMMA - velocity / (GAMMA * (1 - GAMMA)) + last_velocity / (1 - GAMMA)
-    side = chain.dampers * (ERROR * step * curved)
-    error = float(np.abs(arrow.solve(side)).max()) / tolerance
+    error = float(np.abs(arrow.solve(chain.dampers * (ERROR * step * curved))).max()) / tolerance
     if error <= 1:
         state.nodes, state.friction, state.velocity = end, last_rubbing, last_velocity
     return error if np.isfinite(error) else np.inf

@@ -16,9 +16,7 @@ _FULL = 0.9  # share of a core from which a thread, or all of them on all cores,
 _INTERVALS = 5  # number of frame intervals within which 99 % of the results must come
 
 
-def benchmark(
-    bundle: Path, options: Mapping[str, Any] | None = None, free_s: float = _FREE_S, held_s: float = _HELD_S
-) -> str:
+def benchmark(bundle: Path, options: Mapping[str, Any], free_s: float = _FREE_S, held_s: float = _HELD_S) -> str:
     """Measure the frame rate that this computer holds with a bundle, and return it as text, below a table of the rates
     tried and their latencies.
 
@@ -28,10 +26,9 @@ def benchmark(
     """
     with tempfile.TemporaryDirectory() as folder:
 
-        def played(frames: int, rate: float | None = None) -> dict[str, Any]:
-            paced = dict(options or {}) if rate is None else {**(options or {}), "rate": rate}
+        def played(frames: int, **rate: Any) -> dict[str, Any]:
             output = tempfile.mkdtemp(dir=folder) + "/results"
-            return play(bundle, "synthetic", frames=max(60, frames), page="off", output=output, **paced)
+            return play(bundle, "synthetic", frames=max(60, frames), page="off", output=output, **options, **rate)
 
         few = played(0)
         fastest = played(int(free_s * few["rate_hz"]))
@@ -42,7 +39,7 @@ def benchmark(
         ]
         for share in _SHARES:
             rate = round(share * free, 1)
-            ended = played(int(held_s * rate), rate)
+            ended = played(int(held_s * rate), rate=rate)
             latency, overruns = ended["latency_ms"], ended["overruns"]
             lines.append(f"{rate:8.1f}   {latency['median']:9.2f}   {latency['p99']:6.2f}   {overruns:8d}")
             if not overruns and latency["p99"] <= 1e3 * _INTERVALS / rate:

@@ -16,7 +16,7 @@ from fingerflow.player.benchmark import benchmark
 from fingerflow.player.opening import ReadForces, open_player
 from fingerflow.player.options import option_parser
 from fingerflow.player.stream_player import Player
-from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_text
 
 _COMPUTING = ("engine", "provider", "threads")  # options that a benchmark heeds
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which a summary of a stream is recognised
@@ -55,7 +55,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     text = json.dumps(summary, indent=1)
     print(text)
     if options.json is not None:
-        write_atomically(options.json, lambda part: part.write_text(text + "\n", encoding="utf-8"))
+        write_text(options.json, text + "\n")
     return 128 + received[0] if received else 0
 
 

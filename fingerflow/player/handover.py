@@ -63,10 +63,10 @@ class Channel(Generic[T]):
         self._filled.put(True)
         return left
 
-    def get(self, wait: bool | float = True) -> T | None:
+    def get(self, wait: bool = True) -> T | None:
         """Return the next item; None if the queue is empty and closed, or stays empty for `wait` s (True: no limit)."""
         try:
-            filled = self._filled.get(bool(wait), None if wait is True else wait)
+            filled = self._filled.get(wait)
         except Empty:
             return None
         if not filled:

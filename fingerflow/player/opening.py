@@ -50,82 +50,78 @@ def open_player(
     Raises FingerflowError for all that the user can correct.
     """
     with logged_warnings() as warnings:
-        return _open(options, forces_of, on_frame, warnings)
-
-
-def _open(options: argparse.Namespace, forces_of: ReadForces, on_frame: OnFrame | None, warnings: list[str]) -> Player:
-    # By default Python lets a thread run for 5 ms before it switches to another, which is the time budget of a frame.
-    sys.setswitchinterval(5e-4)
-    bundle = load_bundle(options.bundle)
-    played = choose_input(options, bundle)
-    scene, name = played.scene, played.name
-    for warning in contradictions(scene, bundle.recipe):
-        log.warning("%s", warning)
-    # Leave one core to the other threads: reading frames, results of the previous frame, the page.
-    set_threads(options.threads or max(1, threads() - 1))
-    if options.engine == "native" and options.provider is not None:
-        raise PlayerError(
-            "--provider is of ONNX Runtime, and the engine native computes on the processor; leave it out, or take "
-            "--engine onnx"
+        # By default Python lets a thread run for 5 ms before it switches to another: the time budget of a frame.
+        sys.setswitchinterval(5e-4)
+        bundle = load_bundle(options.bundle)
+        played = choose_input(options, bundle)
+        scene, name = played.scene, played.name
+        for warning in contradictions(scene, bundle.recipe):
+            log.warning("%s", warning)
+        # Leave one core to the other threads: reading frames, results of the previous frame, the page.
+        set_threads(options.threads or max(1, threads() - 1))
+        if options.engine == "native" and options.provider is not None:
+            raise PlayerError(
+                "--provider is of ONNX Runtime, and the engine native computes on the processor; leave it out, or take "
+                "--engine onnx"
+            )
+        of_stream = options.engine if options.provider is None else "onnx"
+        engine = engine_of_stream(bundle, of_stream, options.provider, options.threads or 1)
+        tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark)
+        tracker.warm_up(Slot(bundle, scene))
+        named = options.output or scene.stream.output
+        folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
+        live = options.camera is not None
+        process_all = options.policy == "every" if options.policy else not live
+        settings = Settings(
+            process_all=process_all,
+            queue=options.queue if process_all else 1,
+            rate=options.rate or (None if live else scene.recording.frame_rate),
+            frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
+            give_up=options.give_up,
+            page=options.page,
         )
-    of_stream = options.engine if options.provider is None else "onnx"
-    engine = engine_of_stream(bundle, of_stream, options.provider, options.threads or 1)
-    tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark)
-    tracker.warm_up(Slot(bundle, scene))
-    named = options.output or scene.stream.output
-    folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
-    live = options.camera is not None
-    process_all = options.policy == "every" if options.policy else not live
-    settings = Settings(
-        process_all=process_all,
-        queue=options.queue if process_all else 1,
-        rate=options.rate or (None if live else scene.recording.frame_rate),
-        frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
-        give_up=options.give_up,
-        page=options.page,
-    )
-    lens = tracker.geometry.lens
-    header: dict[str, Any] = {
-        "format": RESULTS_FORMAT,
-        "started": datetime.now(UTC).isoformat(),
-        "fingerflow": bundle.version,
-        "recipe": bundle.recipe,
-        "graph_sha256": bundle.hashes,
-        "engine": engine.described,
-        "source": name,
-        "policy": "every" if process_all else "latest",
-        "mm_per_px": scene.calibration.mm_per_px,
-        "topography_to_contact": scene.calibration.topography_to_contact,
-        **({"lens": asdict(lens), "topography": asdict(find_topography(scene))} if lens else {}),
-        "threshold": "measured" if tracker.measures else stated_threshold(scene),
-        "coordinates": COORDINATES,
-        "warnings": warnings,
-    }
-    with ExitStack() as opened:  # closes what was opened if a later part cannot be opened
-        forces: FrameForces | None = None
-        if options.forces is not None:
-            forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)
-            opened.callback(forces.close)
-        elif played.forces_in is not None:
-            forces = forces_of(played.forces_in)
-        layout = RecordLayout(bundle.points, forces.names if forces else ())
-        header |= {"record_bytes": layout.dtype.itemsize, "fields": layout.fields}
-        sink = Sink(folder, header, numbered=named is None)
-        values = LiveValues(layout)
-        destinations = []
-        for destination in _destinations(options, values, on_frame):
-            opened.callback(destination.output.close)
-            destinations.append(destination)
-        try:
-            source = played.open_source(played.first)
-        except FingerflowError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
-        opened.pop_all()
-    return Player(
-        tracker, engine.described, bundle, played, source, sink, layout, settings, forces, values, destinations
-    )
+        lens = tracker.geometry.lens
+        header: dict[str, Any] = {
+            "format": RESULTS_FORMAT,
+            "started": datetime.now(UTC).isoformat(),
+            "fingerflow": bundle.version,
+            "recipe": bundle.recipe,
+            "graph_sha256": bundle.hashes,
+            "engine": engine.described,
+            "source": name,
+            "policy": "every" if process_all else "latest",
+            "mm_per_px": scene.calibration.mm_per_px,
+            "topography_to_contact": scene.calibration.topography_to_contact,
+            **({"lens": asdict(lens), "topography": asdict(find_topography(scene))} if lens else {}),
+            "threshold": "measured" if tracker.measures else stated_threshold(scene),
+            "coordinates": COORDINATES,
+            "warnings": warnings,
+        }
+        with ExitStack() as opened:  # closes what was opened if a later part cannot be opened
+            forces: FrameForces | None = None
+            if options.forces is not None:
+                forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)
+                opened.callback(forces.close)
+            elif played.forces_in is not None:
+                forces = forces_of(played.forces_in)
+            layout = RecordLayout(bundle.points, forces.names if forces else ())
+            header |= {"record_bytes": layout.dtype.itemsize, "fields": layout.fields}
+            sink = Sink(folder, header, numbered=named is None)
+            values = LiveValues(layout)
+            destinations = []
+            for destination in _destinations(options, values, on_frame):
+                opened.callback(destination.output.close)
+                destinations.append(destination)
+            try:
+                source = played.open_source(played.first)
+            except FingerflowError:
+                raise
+            except (Exception, SystemExit) as error:
+                raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
+            opened.pop_all()
+        return Player(
+            tracker, engine.described, bundle, played, source, sink, layout, settings, forces, values, destinations
+        )
 
 
 def _destinations(options: argparse.Namespace, values: LiveValues, on_frame: OnFrame | None) -> Iterator[Destination]:

@@ -67,8 +67,7 @@ def serve_page(
     class Handler(_Handler):
         def do_GET(self) -> None:
             if not self.is_refused():
-                is_live = self.path == "/live"
-                body = (200, "application/octet-stream", live.packed(facts())) if is_live else None
+                body = (200, "application/octet-stream", live.packed(facts())) if (self.path == "/live") else None
                 self.answer(*(body or fixed.get(self.path, absent)))
 
         def do_POST(self) -> None:

@@ -48,11 +48,8 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
     """
     if options.camera and options.source:
         raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
-    shape = None if options.shape is None else (options.shape[0], options.shape[1])
     synthetic = options.source == "synthetic"
-    path = options.scene
-    if path is None and not synthetic:
-        path = options.bundle / "scene.toml"
+    path = options.scene or (None if synthetic else options.bundle / "scene.toml")
     scene = side_by_side(bundle.height, bundle.width) if path is None else load_scene(path)
     check_scene(scene, bundle, path)
     black = np.zeros((bundle.height, bundle.width), np.float32)
@@ -77,7 +74,7 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
                 "the file that you have"
             )
     (glass, size), (dark, size_of_dark) = (
-        (black, None) if file is None else mean_view(file, scene.views.contact, bundle, shape, options.dtype)
+        (black, None) if file is None else mean_view(file, scene.views.contact, bundle, options.shape, options.dtype)
         for file in (pictures.frames, black_level)
     )
     if size and size_of_dark and size != size_of_dark:
@@ -99,7 +96,7 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         first, forces_in = recorded.first_frame, path if scene.forces is not None else None
         frames = None if recorded.last_frame is None else recorded.last_frame + 1 - first
     return StreamInput(
-        *(scene, str(file), lambda number: open_source(file, shape, options.dtype, number), glass, dark),
+        *(scene, str(file), lambda number: open_source(file, options.shape, options.dtype, number), glass, dark),
         *(first, frames, None, forces_in, size),
     )
 
@@ -135,5 +132,4 @@ def mean_view(
         source.close()
     if not count:
         raise PlayerError(f"{path}: has no frame; one of the empty glass is needed")
-    mean: Array = (total / count).astype(np.float32)
-    return mean, None if size == view.shape else size
+    return (total / count).astype(np.float32), None if size == view.shape else size

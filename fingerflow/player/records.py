@@ -10,12 +10,11 @@ from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import FRAME, TRACK_STATUS, VARIABLES
 from fingerflow.tracker.frame_results import RESULTS
 
-_FRAME_NUMBER = Variable(
-    "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
-)
 # Variables of a record that the player adds to those of the tracker.
 _OWN = (
-    _FRAME_NUMBER,
+    Variable(
+        "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
+    ),
     *(VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
 )
 _NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
@@ -66,5 +65,4 @@ class RecordLayout:
         It is NaN, 0 in integer fields, and "frame_not_usable" as the status of points.
         """
         for name in RESULTS:
-            dtype_kind = records[name].dtype.kind
-            records[name][index] = np.nan if dtype_kind == "f" else _NOT_USABLE if name == "status" else 0
+            records[name][index] = np.nan if records[name].dtype.kind == "f" else _NOT_USABLE if name == "status" else 0

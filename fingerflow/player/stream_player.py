@@ -186,8 +186,9 @@ class Player:
                 self._failure = self._failure or error
             if self._failure is None and sys.exc_info()[1] is None:
                 self._log_findings()
+            summary = self.summary() | {"warnings": self._warnings}
             if self.processed:
-                self._sink.write_summary(self.summary() | {"warnings": self._warnings})
+                self._sink.write_summary(summary)
             else:
                 self._sink.discard()
             if page:
@@ -196,7 +197,7 @@ class Player:
                 page.stop()
         if self._failure is not None:
             raise self._failure
-        return self.summary() | {"warnings": self._warnings}
+        return summary
 
     def _log_findings(self) -> None:
         self._log_faults()
@@ -521,8 +522,7 @@ class Player:
         fields["contact_threshold"][index] = outcome.threshold
         if self._senders:
             record = self._room[index].copy()
-            stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)
-            message = stamp, self._values.flatten(record)
+            message = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record), self._values.flatten(record)
             for sender in self._senders:
                 sender.offer(message)
         self.latencies.add(latency)

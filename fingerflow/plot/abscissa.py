@@ -66,7 +66,7 @@ def is_monotonic(result: xr.Dataset) -> bool:
 
 def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
     values = result[force].values.astype(np.float64)
-    finite: NDArray[np.float64] = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     return median_filter(finite, _SMOOTHED, mode="nearest") if len(finite) else finite
 
 
@@ -74,7 +74,6 @@ def _noise(result: xr.Dataset, force: str) -> float:
     """Return the standard deviation of the noise in a force of the result, from second differences over the frames,
     which ignore a steady rise.
     """
-    values = result[force].values.astype(np.float64)
-    second = np.diff(values, 2)
+    second = np.diff(result[force].values.astype(np.float64), 2)
     second = second[np.isfinite(second)]
     return float(_MAD_TO_STD * np.median(np.abs(second)) / np.sqrt(6)) if len(second) else 0.0

@@ -60,7 +60,7 @@ def line_styles(count: int, ordered: bool = False) -> list[dict[str, Any]]:
     friction: their colours go from dark to light.
     """
     if ordered:
-        colours: list[Any] = list(colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1))))
+        colours = list(colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1))))
     else:
         colours = [_COLOURS[k % len(_COLOURS)] for k in range(count)]
     return [{"color": colours[k], "linestyle": _DASHES[k % len(_DASHES)]} for k in range(count)]

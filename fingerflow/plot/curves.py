@@ -67,12 +67,12 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the length of the median displacement of the tracked points; arguments as for `contact_area`."""
-    return _start_at_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
+    return _start_at_zero(_draw(result, axes, against, [_curve(result, "global_displacement")], "Median displacement"))
 
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the strain energy with a band of two standard deviations; arguments as for `contact_area`."""
-    return _start_at_zero(_draw_one(result, axes, against, "strain_energy", "Strain energy"))
+    return _start_at_zero(_draw(result, axes, against, [_curve(result, "strain_energy")], "Strain energy"))
 
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -84,7 +84,7 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw the ratio of tangential to normal force, by default against time; arguments as for `contact_area`."""
-    return _draw_one(result, axes, against, "load_ratio", "Friction ratio")
+    return _draw(result, axes, against, [_curve(result, "load_ratio")], "Friction ratio")
 
 
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -137,7 +137,7 @@ def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | Non
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
-        return np.asarray(values if component is None else values[:, component])
+        return values if component is None else values[:, component]
 
     spread = shown(f"{name}_std") if f"{name}_std" in result else None
     return legend or VARIABLES[name].words, shown(name), spread, name
@@ -146,11 +146,6 @@ def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | Non
 def _start_at_zero(axes: Axes) -> Axes:
     axes.set_ylim(bottom=0)
     return axes
-
-
-def _draw_one(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw a figure with the curve of a single variable."""
-    return _draw(result, axes, against, [_curve(result, name)], title)
 
 
 def _draw(
@@ -196,8 +191,7 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
             VARIABLES[name].long_name.partition(" by ")[2] for name in deviations if name in VARIABLES
         )
         sentences.append(f"Bands: {BAND_WORDS}" + "".join(f", by {error}" for error in errors if error) + ".")
-    counts = [int(np.isfinite(values).sum()) for _, values, *_ in curves]
-    sentences.append(f"n = {max(counts)} frames.")
+    sentences.append(f"n = {max([int(np.isfinite(values).sum()) for _, values, *_ in curves])} frames.")
     return " ".join(sentences)
 
 

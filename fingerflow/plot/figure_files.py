@@ -13,7 +13,7 @@ from matplotlib.text import Text
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import FONT, MM_PER_INCH
 from fingerflow.plot.captions import caption_of
-from fingerflow.results.atomic_write import MARK, is_marked, keep_others, write_atomically
+from fingerflow.results.atomic_write import MARK, is_marked, keep_others, write_atomically, write_text
 
 FORMATS = ("pdf", "svg", "png")
 _DPI = 300  # dots per inch of PNG files, and of images within the other formats
@@ -86,7 +86,7 @@ class FigureFiles:
         for path, suffix in zip(pictures, self.formats, strict=True):
             _write(figure, path, suffix, name)
         lines = [textwrap.fill(line, _LINES) for line in (*caption_of(figure).splitlines(), f"({MARK})")]
-        write_atomically(caption, lambda part: part.write_text("\n".join(lines) + "\n", encoding="utf-8"))
+        write_text(caption, "\n".join(lines) + "\n")
         return pictures[0]
 
 

@@ -73,7 +73,7 @@ def principal(frame: xr.Dataset) -> tuple[Values, Values]:
 
 
 def _component(variable: str, number: int, frame: xr.Dataset) -> Values:
-    return np.asarray(frame[variable].values[:, number])
+    return frame[variable].values[:, number]
 
 
 #: Quantities of `field_map`, by name.

@@ -20,7 +20,7 @@ def contact_outline(frame: xr.Dataset) -> Values | None:
     along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
     cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
     outline = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
-    return np.asarray(outline + np.asarray(frame["ellipse_center"]))
+    return outline + np.asarray(frame["ellipse_center"])
 
 
 def stuck_outline(frame: xr.Dataset) -> Values | None:
@@ -46,4 +46,4 @@ def matrix_of_view(result: xr.Dataset, view: str) -> Values:
 
 def to_pixels(millimetres: Values, matrix: Values) -> Values:
     """Convert positions (N, 2) from mm on the glass to px of a view."""
-    return np.asarray(millimetres @ matrix[:, :2].T + matrix[:, 2])
+    return millimetres @ matrix[:, :2].T + matrix[:, 2]

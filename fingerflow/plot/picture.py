@@ -64,8 +64,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
             check_recording(result, scene, whole)
         counts = inputs.recording[[frame]].read()
         mask = None if name == "topography" else _mask(result, inputs, frame, counts)
-    shown_view = scene.views[name]
-    grey = shown_view.crop(counts)[0].astype(np.float64)
+    grey = scene.views[name].crop(counts)[0].astype(np.float64)
     height, width = grey.shape
     axes = given_or_new(axes, height / width + 0.22)
     low, high = np.nanpercentile(grey, _CONTRAST)
@@ -81,8 +80,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     )
     for outline, style in outlines:
         if outline is not None:
-            outline_px = to_pixels(np.append(outline, outline[:1], 0), matrix)
-            axes.plot(*outline_px.T, linewidth=1.4, **style)
+            axes.plot(*to_pixels(np.append(outline, outline[:1], 0), matrix).T, linewidth=1.4, **style)
     _points(axes, result, frame, matrix)
     _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])

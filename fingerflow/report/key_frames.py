@@ -51,9 +51,9 @@ def _usable_frames(result: xr.Dataset) -> NDArray[np.bool_]:
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
-            return np.asarray(np.isfinite(result[name].values).reshape(count, -1).any(1))
+            return np.isfinite(result[name].values).reshape(count, -1).any(1)
     area = result["gross_contact_area"].values if "gross_contact_area" in result else np.full(count, np.nan)
-    return np.asarray(np.nan_to_num(area) > 0)
+    return np.nan_to_num(area) > 0
 
 
 def _press_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[KeyFrame]:

@@ -32,8 +32,7 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
             x = np.linspace(middles[0], middles[-1], 300)
             curve = amplitude * np.exp(-(((x - mean) / deviation) ** 2) / 2)
             axes.plot(x, curve, color=colour, linestyle=dashes, label=name)
-    d_prime = f"d' of the Gaussians {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'"
-    axes.set_title(d_prime)
+    axes.set_title(f"d' of the Gaussians {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'")
     return finished(
         axes,
         f"Trials answered correctly and incorrectly by {metric} over its 0.9 quantile, with fitted Gaussians. d': "
@@ -69,8 +68,7 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
-        count = f" n {estimate.trials}"
-        axes.annotate(count, (1, row), xycoords=("axes fraction", "data"), va="center")
+        axes.annotate(f" n {estimate.trials}", (1, row), xycoords=("axes fraction", "data"), va="center")
     axes.axvline(chance, color=GREY, linestyle="--", linewidth=0.8)
     axes.set(yticks=range(len(estimates)), yticklabels=list(estimates), xlabel=quantity)
     axes.invert_yaxis()
@@ -127,8 +125,7 @@ def draw_psychometric(
         if np.isfinite(fit.threshold):
             fine = np.linspace(x.min(), x.max(), 300)
             axes.plot(fine, fit(fine), **styles[k])
-            limits = np.clip(fit.interval, *axes.get_xlim())
-            axes.plot(limits, [SHARE, SHARE], color=colour, linewidth=3, alpha=0.4)
+            axes.plot(np.clip(fit.interval, *axes.get_xlim()), [SHARE, SHARE], color=colour, linewidth=3, alpha=0.4)
     axes.set(xlabel=stimulus, ylabel="p(more slippery)", ylim=(-0.03, 1.03))
     thresholds = "; ".join(
         f"{name} {format_interval(fit.threshold, *fit.interval)}, n = {fit.trials} trials"

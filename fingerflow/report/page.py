@@ -31,7 +31,7 @@ from fingerflow.report.overlay import write_overlay
 from fingerflow.report.practice_table import practice_tables
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
-from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
+from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_text
 from fingerflow.schema.scene import Scene
 
 _MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain", "decorrelation")
@@ -200,7 +200,7 @@ def write_report(
         )
     )
     path = folder / "report.html"
-    write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
+    write_text(path, html)
     return path
 
 
@@ -224,11 +224,11 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame]) -
             for frame, why in pictured
         ]
         sections.append(Section("What was seen", panels, first=max(most, 0)))
-    time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
+    time_only = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
     loads = [pair for pair in time_only if pair[1] in result and (pair[1] == "normal_force" or varies(result, pair[1]))]
     contact = (plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")
     sections.append(make.curves("Contact and load", contact, before=make.each(loads)))
-    deformation: list[tuple[Draw, str]] = [
+    deformation = [
         (plot.median_divergence, "median_divergence"),
         (plot.median_strain, "median_strain"),
         (plot.strain_energy, "strain_energy"),
@@ -243,7 +243,7 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame]) -
         wide_mm = (make.files and make.files.width_mm) or TWO_COLUMNS_MM
         slip = make.whole(trial_figure(trial, wide_mm), "partial-slip", verdict_line(trial))
         sections.append(Section(verdict_line(trial), [("", [slip], "strip")]))
-    quality: list[tuple[Draw, str]] = [
+    quality = [
         (plot.tracked_share, "tracked_share"),
         (plot.forward_backward, "forward_backward_median"),
         (plot.position_std, "position_std_px"),

@@ -145,5 +145,4 @@ def _spacing(result: xr.Dataset) -> str:
     points = position[frame][np.isfinite(position[frame]).all(-1)]
     if len(points) < 3:
         return ""
-    nearest = cKDTree(points).query(points, 2)[0][:, 1]
-    return f", nearest neighbour at {np.median(nearest):.1f} px in the median"
+    return f", nearest neighbour at {np.median(cKDTree(points).query(points, 2)[0][:, 1]):.1f} px in the median"

@@ -27,8 +27,8 @@ def draw_motion(
     axes: Axes,
     points: ArrayLike,
     displacement: ArrayLike,
-    contact_outline: ArrayLike | None = None,
-    stuck_outline: ArrayLike | None = None,
+    contact_outline: ArrayLike | None,
+    stuck_outline: ArrayLike | None,
 ) -> Axes:
     """Draw figure 1: displacement of the skin as arrows in true length, with outlines of contact and stick region.
 
@@ -134,8 +134,8 @@ def draw_over_time(
     time: ArrayLike,
     stuck_area: ArrayLike,
     verdict: TrialVerdict,
-    area_std: ArrayLike | None = None,
-    printed_area: ArrayLike | None = None,
+    area_std: ArrayLike | None,
+    printed_area: ArrayLike | None,
 ) -> Axes:
     """Draw figure 2 d: the stuck area relative to the contact area, d^2, against time (s), with the collapse and the
     start of full slip that `verdict` states.
@@ -177,7 +177,7 @@ def draw_partial_slip(axes: Axes, mu_s: float, mu_k: float, name: str, width: fl
     # Space the loads quadratically: near the critical load the area changes too fast for equal steps.
     smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
     largest = float(critical_load_ratio(mu_s, mu_k))
-    load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)
+    load = largest * (1 - np.linspace(1, 0, 400) ** 2)
     axes.plot(load, stuck_area(load, mu_s, mu_k), color=INK, linewidth=width, label=name)
     if smallest > 0:
         axes.plot([largest, largest], [smallest, 0], ":", color=INK)

@@ -114,7 +114,7 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = F
     return folder
 
 
-def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
+def trial_figure(trial: SlipTrial, width_mm: float) -> Figure:
     """Draw a trial: skin motion with stick region, and relative stuck area d^2 against load ratio and against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()

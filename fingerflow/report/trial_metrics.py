@@ -49,7 +49,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Draw figures S5 B, C, D and H: histogram of a metric with its mean and standard deviation."""
     values = _shown(trials, metric)
     finite = values[np.isfinite(values)]
-    axes.hist(finite, bins=max(8, min(40, round(finite.size**0.5))) if finite.size else 8, color=GREY, alpha=0.7)
+    axes.hist(finite, bins=max(8, min(40, round(finite.size**0.5))), color=GREY, alpha=0.7)
     if finite.size > 1:
         mean, deviation = finite.mean(), finite.std(ddof=1)
         axes.axvline(mean, color=INK)
@@ -282,7 +282,7 @@ def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) ->
 def _shown(trials: Trials, metric: str) -> Values:
     if metric not in trials.metrics:
         raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(trials.metrics)}")
-    return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(trials.metrics[metric]))
+    return NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(trials.metrics[metric])
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:

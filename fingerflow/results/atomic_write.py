@@ -84,6 +84,11 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
         write(part)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8 by `write_atomically`."""
+    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
 def write_csv(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     """Write a table, columns (R,) by name, to a CSV file by `write_atomically`."""
     rows, header = np.column_stack(list(columns.values())), ",".join(columns)

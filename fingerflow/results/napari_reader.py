@@ -64,7 +64,7 @@ def layers_of_result(path: str) -> list[Layer]:
     rows[:, 1] -= float(result["frame"][0])
     layers.append((rows[:, :4], {"name": "tracks", "visible": False}, "tracks"))
     features = {name: rows[:, 4 + k] for k, name in enumerate(list(table)[4:])}
-    points: dict[str, Any] = {"name": "points", "size": 4, "border_width": 0, "face_color": "#ffd54f"}
+    points = {"name": "points", "size": 4, "border_width": 0, "face_color": "#ffd54f"}
     if "divergence" in shown:
         heading = VARIABLES["divergence"].shown_unit.heading("divergence")
         valid = np.isfinite(features[heading])
@@ -122,7 +122,7 @@ class FramesOnDemand:
     def __getitem__(self, key: Any) -> NDArray[Any]:
         first, *rest = key if isinstance(key, tuple) else (key,)
         numbers = np.arange(len(self))[first]
-        pictures: NDArray[Any] = self._view.crop(self._frames[np.atleast_1d(numbers)].read())
+        pictures = self._view.crop(self._frames[np.atleast_1d(numbers)].read())
         return pictures[0][tuple(rest)] if np.ndim(numbers) == 0 else pictures[(slice(None), *rest)]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:

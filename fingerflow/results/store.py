@@ -213,8 +213,6 @@ class FileStore(Store):
         _describe(self._file, attributes)
 
     def _add(self, name: str, dims: tuple[str, ...], **what: Any) -> h5py.Dataset:
-        if name in self._dims:
-            raise ValueError(f"the variable {name} was created before")
         self._dims[name] = dims
         self._datasets[name] = self._file.create_dataset(name, track_order=True, **what)
         return self._datasets[name]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.results.atomic_write import keep_others, write_atomically, write_csv
+from fingerflow.results.atomic_write import keep_others, write_csv, write_text
 from fingerflow.results.patient_file import PatientFile
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.unfinished import remove, unfinished
@@ -126,7 +126,7 @@ class Sink:
         """
         text = json.dumps(summary, indent=1) + "\n"
         try:
-            write_atomically(self.folder / "summary.json", lambda part: part.write_text(text, encoding="utf-8"))
+            write_text(self.folder / "summary.json", text)
         except FingerflowError as error:
             log.warning("%s", error)
 

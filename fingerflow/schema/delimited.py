@@ -24,8 +24,7 @@ def find_separator(line: str) -> str | None:
 
 def split_cells(line: str, separator: str | None) -> list[str]:
     """Return the cells of a line, stripped of blanks and quotes; empty cells at the end of the line are dropped."""
-    quoted = '"' in line
-    cells = next(csv.reader([line], delimiter=separator or " ")) if quoted else line.split(separator)
+    cells = next(csv.reader([line], delimiter=separator or " ")) if ('"' in line) else line.split(separator)
     cells = [cell.strip().strip('"').strip() for cell in cells]
     while cells and not cells[-1]:
         cells.pop()

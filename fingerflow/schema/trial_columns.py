@@ -39,8 +39,7 @@ def _at_moments(
     source = VARIABLES[variable]
 
     def column(name: str, definition: str, label: str = "") -> Variable:
-        shown_in = source.shown_in
-        return Variable(name, _TRIAL, source.units, definition, shown_in=shown_in, of=(variable,), label=label)
+        return Variable(name, _TRIAL, source.units, definition, shown_in=source.shown_in, of=(variable,), label=label)
 
     yield column(name, f"{definition}, {_LARGEST if largest else MOMENTS[AT_MAX]}", label)
     if has_std:

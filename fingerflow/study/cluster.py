@@ -90,8 +90,7 @@ def _run_tasks(
 
     def capacity() -> int:
         """Return the number of tasks to keep submitted: a multiple of the threads of workers, which may come and go."""
-        threads: int = sum(client.nthreads().values())
-        return max(2, _IN_FLIGHT * threads)
+        return max(2, _IN_FLIGHT * sum(client.nthreads().values()))
 
     def submit(name: str, task: Task) -> Any:
         # Give all tasks one group name, since a scheduler never discards the statistics of a group.
@@ -183,9 +182,8 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                         context.set_forkserver_preload(["fingerflow.study.preload"])
                     # A scheduler executes what it receives. Without a certificate, which only this process and its
                     # workers have, every user of this computer could run commands as the user who started the study.
-                    security = Security.temporary()
                     cluster = LocalCluster(
-                        host="127.0.0.1", protocol="tls://", security=security,
+                        host="127.0.0.1", protocol="tls://", security=Security.temporary(),
                         n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
                         # Let the system choose the port: with a fixed one Dask would warn if another study used it.
                         dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},

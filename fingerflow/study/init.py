@@ -11,7 +11,7 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import READER_OF, holds_forces
 from fingerflow.recordings.frames.open_recording import READERS
-from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_text
 from fingerflow.schema.key_types import File
 from fingerflow.schema.keys import SceneKey
 from fingerflow.schema.scene_tables import find_entry
@@ -88,8 +88,8 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: quoted_cell(cell) for name, cell in row.items()} for row in rows)
-    write_atomically(table, lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
-    write_atomically(manifest, lambda part: part.write_text(_manifest_text(shared), encoding="utf-8"))
+    write_text(table, text.getvalue())
+    write_text(manifest, _manifest_text(shared))
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
     lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
     lacking += [f"[scene] in {manifest.name}"] if not scenes else []

@@ -13,12 +13,12 @@ import numpy as np
 from jinja2 import Environment
 
 from fingerflow.errors import FingerflowError
-from fingerflow.plot.figure_files import PNG, FigureFiles
+from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.view_painter import ViewPainter
-from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_atomically, write_text
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.scene import Scene
@@ -38,7 +38,7 @@ _MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median abs
 
 
 def write_study_report(
-    manifest: Manifest, scheduler: str | None = None, workers: int | None = None, figure_files: FigureFiles = PNG
+    manifest: Manifest, scheduler: str | None, workers: int | None, figure_files: FigureFiles
 ) -> Path:
     """Write the page of a study (`index.html`), `statistics.json`, figures, and a report of each trial.
 
@@ -59,8 +59,7 @@ def write_study_report(
     failed = [failure for failure in written if failure]
     figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design, figure_files)
     statistics = study_statistics(sample)
-    text = json.dumps(statistics, indent=1, ensure_ascii=False)
-    write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(manifest.results / "statistics.json", json.dumps(statistics, indent=1, ensure_ascii=False))
     template = Environment(autoescape=True).from_string(files(__package__).joinpath("index.html").read_text("utf-8"))
     html = template.render(
         study=manifest.path.parent.name,
@@ -77,7 +76,7 @@ def write_study_report(
         format_uncertainty=format_uncertainty,
     )
     path = manifest.results / "index.html"
-    write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
+    write_text(path, html)
     return path
 
 

@@ -61,7 +61,7 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, Curve]]:
     standard deviation treats their errors as independent.
     """
     trial = _Trial(result)
-    row: dict[str, Any] = dict.fromkeys(NUMBERS)
+    row = dict.fromkeys(NUMBERS)
     row |= trial.trial_numbers()
     for name in AT_MOMENTS:
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
@@ -246,8 +246,7 @@ class _Trial:
     @cached_property
     def _verdict(self) -> dict[str, Any]:
         """Return the verdict on the loss of the stuck area, with NaN where it states nothing."""
-        attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
-        judged = json.loads(attributes.get("verdict") or "{}")
+        judged = json.loads((self._result[_JUDGED].attrs if _JUDGED in self._result else {}).get("verdict") or "{}")
         return {name: np.nan if value is None else value for name, value in judged.items()}
 
     @cached_property

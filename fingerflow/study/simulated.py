@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_text
 from fingerflow.study.simulated_trials import Design, Presses, answer_table, draw_presses, make_recording
 from fingerflow.synthetic import write_recording
 
@@ -39,8 +39,8 @@ def write_recordings(folder: Path, design: Design) -> None:
         of_pair = (f"{trial - 1:03d}", int(answers[pair])) if is_comparison else ("", "")
         names.append(f"p{participant + 1:02d}/{presses.amplitude[number]:g}um/trial{trial:03d}")
         writer.writerow((f"{participant + 1:02d}", f"{trial:03d}", *of_pair, *_truth(presses, number)))
-    write_atomically(folder / "answers.csv", lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
-    write_atomically(folder / "truth.json", lambda part: part.write_text(json.dumps(asdict(design)), encoding="utf-8"))
+    write_text(folder / "answers.csv", text.getvalue())
+    write_text(folder / "truth.json", json.dumps(asdict(design)))
     for number, name in enumerate(tqdm(names, desc="synthetic presses", unit="press")):
         if not (folder / name).exists():
             write_recording(folder / name, make_recording(design, presses, number), progress=False)

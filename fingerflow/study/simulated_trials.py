@@ -102,14 +102,14 @@ class Design:
     def friction_for(self, amplitude: Values) -> Values:
         """Return the friction coefficient at vibration amplitudes in µm."""
         low, high = self.friction
-        return np.asarray(low * (high / low) ** np.sqrt(self._share(amplitude)))
+        return low * (high / low) ** np.sqrt(self._share(amplitude))
 
     def mean_forces(self) -> Values:
         """Return the mean peak forces (P,), N, of the participants, in turns of the lower and the upper half."""
         # Quantiles in place of random numbers: few people are a small sample.
         ranks = np.concatenate((np.arange(1, self.participants, 2), np.arange(0, self.participants, 2)))
         mean, spread = self.force[:2]
-        return np.asarray(mean * np.exp(spread * ndtri((ranks + 0.5) / self.participants) - spread**2 / 2))
+        return mean * np.exp(spread * ndtri((ranks + 0.5) / self.participants) - spread**2 / 2)
 
     def softness_of_people(self) -> Values:
         """Return the softness (P,) of the skin of the participants."""
@@ -117,7 +117,7 @@ class Design:
         return np.take(self.softness, off.argmin(1))
 
     def _share(self, amplitude: Values) -> Values:
-        return np.asarray(np.asarray(amplitude) / max(max(self.amplitudes), 1e-9))
+        return np.asarray(amplitude) / max(max(self.amplitudes), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def answer_table(design: Design, reference: Presses, comparison: Presses) -> NDA
     evidence = seen * (comparison.divergence - reference.divergence) / design.noise
     evidence += angle * (reference.angle - comparison.angle)
     evidence += displacement * (np.hypot(*comparison.shift.T) - np.hypot(*reference.shift.T))
-    return np.asarray(evidence + np.random.default_rng((design.seed, 1)).standard_normal(evidence.size) > 0)
+    return evidence + np.random.default_rng((design.seed, 1)).standard_normal(evidence.size) > 0
 
 
 def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
@@ -264,7 +264,7 @@ def _draw_kinematics(
 
 def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: int) -> Values:
     square = math.log(1 + (deviation / mean) ** 2)
-    return np.asarray(draw.lognormal(math.log(mean) - square / 2, math.sqrt(square), count))
+    return draw.lognormal(math.log(mean) - square / 2, math.sqrt(square), count)
 
 
 def _draw_real_share(
@@ -278,8 +278,7 @@ def _draw_real_share(
     fall = 1 - design.real_area_fall * design._share(amplitude)
     person = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
     noise = _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
-    share = mean / apparent / fall.mean() * fall * person * noise
-    return np.asarray(np.clip(share, *_SHARES))
+    return np.clip(mean / apparent / fall.mean() * fall * person * noise, *_SHARES)
 
 
 def _peak_values(design: Design, softness: Values, amplitude: Values, force: Values) -> tuple[Values, Values]:

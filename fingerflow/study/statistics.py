@@ -94,7 +94,7 @@ def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     differences = sample.trials
     values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
     trials = replace(differences, metrics=values)
-    statistics: dict[str, Any] = {
+    statistics = {
         "counted": {"trials": sample.number, "rules": sample.rules, "used": sample.used},
         "by_condition": _anovas(trials, trials.condition),
         "correlations": _corrected(

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.digest import digest_of
-from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_text
 from fingerflow.study.cache_keys import InputFile, Keys, describe_file
 
 # Key of the digest of the rest of `row.json`, so that a number corrupted on disk does not get into the table.
@@ -60,7 +60,7 @@ def write_row(folder: Path, trial: TrialRow) -> None:
     """Write `row.json` of a trial, and delete result files other than the one it names."""
     content = json.loads(json.dumps(asdict(trial), allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
-    write_atomically(folder / "row.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(folder / "row.json", text)
     for file in folder.glob("result-*.h5"):
         if file.name != trial.result:
             file.unlink(missing_ok=True)

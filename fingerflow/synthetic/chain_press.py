@@ -137,7 +137,7 @@ class ChainPress(SyntheticScene):
             share = _invert_force_share(share * self.force / self._path_force) / self._path_end
         elif self._path_end < 1:
             share = _invert_force_share(force_share(share) * self.force / self._path_force) / self._path_end
-        return np.asarray(np.minimum(share, 1.0) + self._share_of_hold(time))
+        return np.minimum(share, 1.0) + self._share_of_hold(time)
 
     def normal_force(self, time: Array) -> Array:
         share = self._share_of_rise(time)
@@ -148,7 +148,7 @@ class ChainPress(SyntheticScene):
         return self.drag * self.normal_force(time)
 
     def _share_of_rise(self, time: Array) -> Array:
-        return np.asarray(np.clip((time - self.contact_time) / self.rise_time, 0, 1))
+        return np.clip((time - self.contact_time) / self.rise_time, 0, 1)
 
     def _share_of_hold(self, time: Array) -> Array:
         """Return how much of the hold, the time from the end of the force's rise to the last frame, has elapsed at
@@ -156,7 +156,7 @@ class ChainPress(SyntheticScene):
         """
         held = time - self.contact_time - self.rise_time
         whole = float(self.times[-1]) - self.contact_time - self.rise_time
-        return np.asarray(np.clip(held / whole, 0, 1)) if whole > 0 else np.zeros_like(held)
+        return np.clip(held / whole, 0, 1) if whole > 0 else np.zeros_like(held)
 
     @property
     def _path_force(self) -> float:
@@ -195,14 +195,14 @@ def force_share(progress: Array) -> Array:
     """Return the force on the simulated skin chain, as a share of its full force, at a share (0 to 1) of the rise time,
     the progress: it rises as sin².
     """
-    return np.asarray(np.sin(math.pi / 2 * progress) ** 2)
+    return np.sin(math.pi / 2 * progress) ** 2
 
 
 def _invert_force_share(share: Array) -> Array:
     """Return the progress, the share of the rise time, at which the force on the simulated skin chain reaches a share
     (0 to 1) of its full force.
     """
-    return np.asarray(2 / math.pi * np.arcsin(np.sqrt(np.minimum(share, 1.0))))
+    return 2 / math.pi * np.arcsin(np.sqrt(np.minimum(share, 1.0)))
 
 
 @lru_cache(maxsize=64)
@@ -234,7 +234,7 @@ def _smoothed(values: Array) -> Array:
     time = np.linspace(0, 1, _TIMES)
     knots = np.concatenate(([0.0] * 3, np.linspace(0, 1, _KNOTS + 1), [1.0] * 3))
     weight = np.where(time == 0, 1e3, 1.0)
-    return np.asarray(make_lsq_spline(time, values, knots, k=3, w=weight)(np.linspace(0, 1, _KNOTS + 1)))
+    return make_lsq_spline(time, values, knots, k=3, w=weight)(np.linspace(0, 1, _KNOTS + 1))
 
 
 def _coefficients(values: Array) -> Tensor:

@@ -131,7 +131,7 @@ class PartialSlip(Slide):
         progress = self.progress(time)
         held = self.load_ratio(torch.from_numpy(progress)).numpy()
         slipping = np.clip((progress - self.full_slip) * self.times[-1] / self.collapse, 0, 1)
-        return np.asarray(self.force * (held + slipping * (self.kinetic_friction - held)))
+        return self.force * (held + slipping * (self.kinetic_friction - held))
 
 
 def _smoothstep(share: Tensor) -> Tensor:

@@ -125,8 +125,7 @@ def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> 
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
     touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
     middle = np.array([float(x[touching].mean()), float(y[touching].mean())])
-    centre = tuple(np.clip(-middle, high - half, low + half).tolist())
-    return replace(plain, texture=replace(texture, centre=centre))
+    return replace(plain, texture=replace(texture, centre=tuple(np.clip(-middle, high - half, low + half).tolist())))
 
 
 @lru_cache(maxsize=4)
@@ -186,8 +185,7 @@ def _ridge_distance(plane: Plane, picture: Path) -> float:
     power = np.abs(np.fft.rfft2(flat * window)) ** 2
     frequency = np.hypot(np.fft.fftfreq(plane.shape[0])[:, None], np.fft.rfftfreq(plane.shape[1]))
     edges = np.linspace(1 / 40, 1 / 4, 46)
-    rings = np.histogram(frequency, edges, weights=power)[0]
-    peak = int(np.argmax(rings))
+    peak = int(np.argmax(np.histogram(frequency, edges, weights=power)[0]))
     return float(2 / (edges[peak] + edges[peak + 1]))
 
 
@@ -195,8 +193,7 @@ def _coefficients(plane: Plane, outside: float) -> Tensor:
     """Return the coefficients of a cubic spline through an image that is padded with a border of the grey level
     `outside`.
     """
-    around = np.pad(plane, SURROUND, constant_values=outside)
-    return torch.from_numpy(spline_filter(around, order=3, mode="mirror"))
+    return torch.from_numpy(spline_filter(np.pad(plane, SURROUND, constant_values=outside), order=3, mode="mirror"))
 
 
 def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor]:

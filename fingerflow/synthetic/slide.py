@@ -59,8 +59,7 @@ class Slide(SyntheticScene):
         """Return the edge of the apparent contact in the first frame."""
         # Centre the travel on the middle of the view, where the light is.
         (x, y), (right, down) = self.contact_centre, self.way
-        start = x - self.travel / 2 * right, y - self.travel / 2 * down
-        return Ellipse(start, self.semi_axes, self.tilt)
+        return Ellipse((x - self.travel / 2 * right, y - self.travel / 2 * down), self.semi_axes, self.tilt)
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
         """Return the radius of the ellipse of stuck skin as a fraction of the contact's at a progress of the slide; its
@@ -112,7 +111,7 @@ class Slide(SyntheticScene):
         return (progress / self.full_slip).clamp(max=1)
 
     def progress(self, time: Array) -> Array:
-        return np.asarray(np.clip(time / self.times[-1], 0, 1))
+        return np.clip(time / self.times[-1], 0, 1)
 
     def normal_force(self, time: Array) -> Array:
         return np.full_like(time, self.force)
@@ -136,5 +135,4 @@ class Slide(SyntheticScene):
         return min(radius, 1.0) ** 2
 
     def _stuck_share(self, progress: Array) -> Array:
-        radius = self.stuck_radius(torch.from_numpy(np.asarray(progress, dtype=np.float64)))
-        return radius.square().numpy()
+        return self.stuck_radius(torch.from_numpy(np.asarray(progress, dtype=np.float64))).square().numpy()

@@ -120,12 +120,12 @@ class Truth:
         ellipse = self.ellipse(frame)
         return 0.0 if ellipse is None else ellipse.area
 
-    def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
-        """Return the real contact area (mm²) in a frame, by quadrature with samples_per_px² cells per pixel."""
+    def real_contact_area_mm2(self, frame: int) -> float:
+        """Return the real contact area (mm²) in a frame, by quadrature with 16 cells per pixel."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0
-        x, y, cell = _grid_around(ellipse, self.mm_per_px / samples_per_px)
+        x, y, cell = _grid_around(ellipse, self.mm_per_px / 4)
         rows = max(1, 2**14 // x.shape[1])  # of which the intermediate results stay in a cache
         parts = zip(x.split(rows), y.split(rows), strict=True)
         margins = (self._contact_margin(*part, frame, ellipse) for part in parts)
@@ -180,8 +180,7 @@ class Truth:
             return Medians(*(math.nan,) * 7)
         # Choose the spacing so that a small contact gets as many grid points as a large one.
         x, y, _ = _grid_around(ellipse, min(spacing_mm, min(ellipse.semi_axes) / 8))
-        material = self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame)
-        points = _points(material)
+        points = _points(self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame))
         onset, entry = self._onset(points)
         displacement = self._displacement(points, frame, onset, entry, reference).numpy()
         (xx, xy), (yx, yy) = np.moveaxis(self._gradient(points, frame, onset, entry, reference).numpy(), 0, -1)
@@ -208,17 +207,13 @@ class Truth:
         depth, material = ellipse.distance(x, y), self._scene.material(x, y, self._frame_progress(frame))
         return torch.minimum(self._scene.ridge_margin(*material, depth), depth)
 
-    def _displacement(
-        self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None = None
-    ) -> Tensor:
+    def _displacement(self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None) -> Tensor:
         if reference is not None:
             entry = self._forward(points, self._frame_progress(reference).expand(onset.shape), points)
         moved = self._forward(points, self._frame_progress(frame).expand(onset.shape), points) - entry
         return torch.where((onset <= self._frame_progress(frame))[..., None], moved, math.nan)
 
-    def _gradient(
-        self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None = None
-    ) -> Tensor:
+    def _gradient(self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None) -> Tensor:
         if reference is not None:
             return self._gradient_since(points, frame, onset, self._deformation(points, reference))
         forward, velocity = self._derivatives(entry, onset)

@@ -116,8 +116,7 @@ def _region_of_skin(scene: SyntheticScene) -> View | None:
     truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _REGION_FRAMES).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:
-            skin = truth.material(ellipse.edge(63), int(frame))
-            edges.append(truth.topography_pixels(truth.positions(skin, 0)))
+            edges.append(truth.topography_pixels(truth.positions(truth.material(ellipse.edge(63), int(frame)), 0)))
     if not edges:
         return None
     height, width = scene.views["topography"].shape

@@ -68,7 +68,8 @@ class PictureCheck:
         self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
         empty, (self.lines,) = block_means(glass[None])
         self.least = self.black + DARK_SHARE * (float(empty.mean()) - self.black)
-        self._roughness, self._top = noise_roughness(glass), top
+        self._roughness = max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
+        self._top = top
         self._tells_saturated = float((empty > top).mean()) < SATURATED_SHARE
 
     def status(self, frames: Array, blocks: Array) -> Array:
@@ -93,17 +94,10 @@ def is_noise(frames: Array, roughness: float) -> Array:
     have a period of 4 px or more, the mean squared difference at least doubles, and mostly becomes four times as large.
     """
     near = strip_differences(frames, 1)
-    noise: Array = near > roughness**2
+    noise = near > roughness**2
     if np.logical_or.reduce(noise, None):
         noise &= strip_differences(frames, 2) < _ALIKE * near
     return np.logical_or.reduce(noise, 1)
-
-
-def noise_roughness(glass: Array) -> float:
-    """Return the roughness above which a frame may be noise (`is_noise`): 0.2, or twice that of the empty glass (H, W),
-    since neighbouring pixels of a colour camera have different filters.
-    """
-    return max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
 
 
 def strip_differences(frames: Array, apart: int) -> Array:

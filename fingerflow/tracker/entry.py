@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints
-from fingerflow.kernels.arrays import inverse_2x2, nanmedian, squared_distances
+from fingerflow.kernels.arrays import inverse_2x2, is_finite, nanmedian, squared_distances
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
@@ -98,8 +98,7 @@ def _entered_by_motion(
         # Each component separately, as NumPy is slow over an axis of two.
         way_x, way_y = rows[..., 0] - reference[:, 0], rows[..., 1] - reference[:, 1]
         moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.select(frames).inside(rows)
-        number = np.arange(frames.start, frames.stop)[:, None]
-        before = (number < onset) & np.isfinite(moved)
+        before = (np.arange(frames.start, frames.stop)[:, None] < onset) & np.isfinite(moved)
         far = before & ((moved >= MOVED * gauge_mm) | (then - depth >= MOVED * gauge_mm))
         last, is_far = len(far) - 1 - far[::-1].argmax(0), np.logical_or.reduce(far)
         decided = (is_far | (np.logical_or.reduce(before) & np.isnan(way))).nonzero()[0]
@@ -229,7 +228,7 @@ class Entries:
     def __init__(self, engine: Engine, positions: Array) -> None:
         count = len(positions)
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
-        self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
+        self._valid = is_finite(positions).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
         self._covered = np.zeros((self.KEPT, count), dtype=bool)
         self._border = FrameEllipse(*(np.full((self.KEPT, *size), np.nan) for size in ((2,), (2,), ())))
@@ -272,7 +271,7 @@ class Entries:
             self._mark_advected(begins)
             self._learn_entries(self.entered & ~before)
         self._frames += 1
-        here = (self.entered & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+        here = (self.entered & is_finite(position)).nonzero()[0]
         if not len(here):
             return None
         since, covariance = np.full_like(self._at_entry, np.nan), np.full_like(self._covariance, np.nan)
@@ -296,7 +295,7 @@ class Entries:
         """Compute the gradients at their entry of points that are newly marked as advected, `new` (N,) bool."""
         for onset in set(self.onset[new].tolist()):
             row, position = onset % self.KEPT, self._position[onset % self.KEPT]
-            points = (new & (self.onset == onset) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+            points = (new & (self.onset == onset) & is_finite(position)).nonzero()[0]
             if len(points):
                 self._at_entry[points], self._covariance[points] = self._gradients(row, points)
                 earlier, _ = self._gradients((onset - EntryGradients.BEFORE) % self.KEPT, points)
@@ -354,7 +353,7 @@ class Entries:
             past, onset = self._position[order[:, None], rows], self.onset[rows] - first
             motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
-        later &= np.isfinite(self._seeded[:, 0] + self._seeded[:, 1])
+        later &= is_finite(self._seeded)
         kept = self.onset - EntryGradients.BEFORE > self._frames - self.KEPT  # those of which the entry is known
         extended = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)
         self.entered = extended & (self.entered | kept)

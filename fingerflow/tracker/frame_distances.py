@@ -42,7 +42,7 @@ class PixelSamples(NamedTuple):
         _, height, width = frames[0].shape
         down, along = max(1, height // _LINES), max(1, width // _PIXELS)
         grids = [array[:, down // 2 :: down, along // 2 :: along] for array in frames]
-        pixels: Array = np.concatenate(grids, dtype=np.float32)
+        pixels = np.concatenate(grids, dtype=np.float32)
         if frames[0].dtype.kind == "f":
             np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         mean = np.maximum(np.add.reduce(pixels, (1, 2)) / pixels[0].size, _TINY)

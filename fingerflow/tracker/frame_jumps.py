@@ -229,8 +229,7 @@ def _far_at_end(
         ordinary = noise, np.fmax(limit, _LEAST_AT_END)
         for k, step in enumerate(steps):
             # Longest of the later steps: a finger that has begun to move moves on.
-            behind = steps[k + 1 :].max(0, initial=0)
-            if is_far(step, np.maximum(usual[last[k]], behind), ordinary):
+            if is_far(step, np.maximum(usual[last[k]], steps[k + 1 :].max(0, initial=0)), ordinary):
                 result[last[k + 1] :] = True
                 break
     return result & usable

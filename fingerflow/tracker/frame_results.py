@@ -68,7 +68,7 @@ class FrameResults:
         self._engine, self._geometry = engine, geometry
         self._to_contact = geometry.topography_to_contact.astype(np.float32)
         self.on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
-        self._slip = SlipFlag()
+        self.slip = SlipFlag()
         self._seeding: Seeding | None = None
         self.entries = Entries(engine, np.zeros((0, 2)))
         self._frames = 0
@@ -76,11 +76,6 @@ class FrameResults:
         self._sizes: Sizes  # of the contact in the present frames
         self._entered = np.zeros((0, 0), dtype=bool)  # which points have entered, in each of them
         self._touches = Touches(0)
-
-    @property
-    def slipping(self) -> bool:
-        """Return the slip flag after the last usable frame: whether skin in contact slips."""
-        return self._slip.slipping
 
     def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints) -> dict[str, Array]:
         """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
@@ -108,10 +103,9 @@ class FrameResults:
         noise_px, self._sizes = np.sqrt(variance), sizes
         residual, slipping = np.empty(len(covered)), np.empty(len(covered), dtype=bool)
         for k in range(len(covered)):
-            residual[k] = self._slip.update(points.points[k], noise_px[k], covered[k])
-            slipping[k] = self._slip.slipping
-        position = self._geometry.on_glass(points.points)
-        skin = SkinFrames(numbers, covered, position, variance, curvature, sizes.ellipse)
+            residual[k] = self.slip.update(points.points[k], noise_px[k], covered[k])
+            slipping[k] = self.slip.slipping
+        skin = SkinFrames(numbers, covered, self._geometry.on_glass(points.points), variance, curvature, sizes.ellipse)
         now = self._deformation.step(skin, self)
         fields, median, median_std = now.fields, now.fields.median, np.sqrt(now.variance + now.bias)
         length, length_std = displacement_length(now.vector, now.vector_std)
@@ -154,7 +148,7 @@ class FrameResults:
         # displacement of skin that was in contact when it was seeded is not known.
         self._inherited, touches = np.zeros(count), Touches(count)
         if seeding.before is not None:
-            self._slip.follow_others(seeding.before, seeding.points)
+            self.slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
             rows, before = covered.nonzero()[0], np.zeros((0, 2)) if seeding.before is None else seeding.before
             moved = self._geometry.on_glass(before) - self._touches.position[: len(before)]

@@ -45,11 +45,11 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
+from fingerflow.kernels.arrays import is_finite
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.point_prediction import is_finite
 from fingerflow.tracker.points import STREAM, Points, join
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
@@ -91,9 +91,9 @@ class TrackerSettings:
     bit_depth: int
     geometry: Geometry
     region: Array
-    threshold: float | None = None
-    update_share: float | None = None
-    update_frames: float | None = None
+    threshold: float | None
+    update_share: float | None
+    update_frames: float | None
 
 
 class Frame:
@@ -234,8 +234,7 @@ class StreamTracker:
 
     def warm_up(self, frame: Frame) -> None:
         """Process a blank frame in a separate tracker before a stream starts, since the first engine calls are slow."""
-        settings = replace(self._settings, threshold=None)
-        tracker = StreamTracker(self._engine, settings, self._glass, self._dark)
+        tracker = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark)
         for number in range(2):
             frame.number = number
             tracker.inspect(frame)
@@ -263,9 +262,8 @@ class StreamTracker:
         passed: list[Event | FrameOutcome] = []
         if not self._deferred:
             passed += self._make_changes(frame)
-        work = FrameOutcome(self._index, frame, {}, self.threshold)
-        for name, view in frame.views.items():
-            work.images[name] = self._engine.images(view[0])
+        images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
+        work = FrameOutcome(self._index, frame, images, self.threshold)
         if self.measures and self._search.wants(self._index):
             threshold = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
@@ -336,7 +334,7 @@ class StreamTracker:
     @property
     def slipping(self) -> bool:
         """Return the slip flag after the last frame with results: whether skin in contact slips."""
-        return self._results.slipping
+        return self._results.slip.slipping
 
     def vibration_px(self) -> float:
         """Return the root mean square, px, of the vibration of the whole image in the last 512 frames with results; 0
@@ -532,10 +530,9 @@ class StreamTracker:
         cosine, sine = math.cos(sparse.angle), math.sin(sparse.angle)
         about_center = self._to_contact.copy()
         about_center[:, 2] -= sparse.center
-        to_axes = np.array([[cosine, sine], [-sine, cosine]]) @ about_center
         along, across = (
             (by_x * columns).astype(np.float32) + (by_y * rows + shift).astype(np.float32)
-            for by_x, by_y, shift in to_axes
+            for by_x, by_y, shift in np.array([[cosine, sine], [-sine, cosine]]) @ about_center
         )
         inside, around = (
             self._settings.region & (np.square(along / major) + np.square(across / minor) < 1)

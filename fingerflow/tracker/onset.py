@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import squared_distances
+from fingerflow.kernels.arrays import is_finite, squared_distances
 from fingerflow.kernels.result_records import FrameEllipse
 
 Array = NDArray[Any]
@@ -178,7 +178,7 @@ def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> t
     passed[:] = 0.5
     np.divide(outside, outside - inside, out=passed, where=inside > outside)
     passed = np.minimum(np.maximum(passed, 0), 1)
-    valid = np.isfinite(before[:, 0] + before[:, 1])
+    valid = is_finite(before)
     share[frame, point] = np.where(valid, passed, 1)
     positions = position[1:].copy()
     positions[frame[valid], point[valid]] += (passed[valid, None] - 1) * (now - before)[valid]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import nanmedian, squared_distances
+from fingerflow.kernels.arrays import is_finite, nanmedian, squared_distances
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
 
 Array = NDArray[Any]
@@ -106,8 +106,3 @@ class PointMotion(NamedTuple):
         predicted = (after.valid & (after.missing > 0))[:, None]
         position, speed = np.where(predicted, after.position, position), np.where(predicted, after.speed, speed)
         return after._replace(position=position, speed=speed)
-
-
-def is_finite(points: Array) -> Array:
-    """Return a mask (...) of the points (..., 2) with known positions: both components are finite."""
-    return np.isfinite(points[..., 0] + points[..., 1])

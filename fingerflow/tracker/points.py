@@ -25,10 +25,10 @@ from fingerflow.engines.engine import (
     reject,
     select,
 )
-from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.kernels.arrays import identities, inverse_2x2, is_finite
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.deviations.curvature import Curvature
-from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, is_finite
+from fingerflow.tracker.point_prediction import TRUSTED, PointMotion
 from fingerflow.tracker.recovery import Search, Track, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification
 
@@ -110,7 +110,7 @@ class Points:
         self._every = np.concatenate((points, around)).astype(np.float32)
         self.motion = motion or PointMotion.at_rest(points)
         self._verification, self._curvature = Verification(engine, image, points), Curvature(engine, self._every)
-        unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
+        unchanged = identities(len(points))
         # Deformation gradient at the last check, and the inverse of that in the templates.
         self._warp, self._inverse_warp = unchanged, unchanged.copy()
         self._steps: list[Corrected] = []  # of the frames of the last `follow`
@@ -234,8 +234,7 @@ class Points:
             self.motion = before.update(corrected.found.points[0], self._gap + 1, corrected.expected[0], jolted)
             return self._checked_templates(corrected, before.position, 1, images)
         speed = self.motion.speed
-        followed = self._engine.track(self._templates, images, guess - speed, speed)
-        return self._finish_images(images, followed, around)
+        return self._finish_images(images, self._engine.track(self._templates, images, guess - speed, speed), around)
 
     def _track_image(self, image: Images, guess: Array, rows: Array) -> TrackedPoints:
         """Track the points with indices `rows` in one image near guessed positions."""
@@ -298,12 +297,8 @@ class Points:
         if not (self._engine.settings.search_px and np.logical_or.reduce(lost)):
             return tracked, None
         track, search = self._track_and_search(image, np.arange(len(self)))
-        limits = self._knowledge.searched, self._predict_from_neighbours
+        limits = self._knowledge.searched, lambda found: self._corrected(found).expected[0]
         return recover(tracked, guess, searchable, track, search, *limits)
-
-    def _predict_from_neighbours(self, tracked: TrackedPoints) -> Array:
-        """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
-        return self._corrected(tracked).expected[0]
 
     def _corrected(self, tracked: TrackedPoints, around: TrackedPoints | None = None) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
@@ -311,7 +306,7 @@ class Points:
         With template "previous" the points are returned unchanged.
         """
         if not self._by_key:
-            unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*tracked.status.shape, 2, 2))
+            unchanged = identities(*tracked.status.shape)
             nothing = np.zeros(tracked.status.shape, np.float32)
             return Corrected(tracked, unchanged, nothing, np.full_like(tracked.points, np.nan))
         extra = 0 if around is None else around.status.shape[1]
@@ -337,8 +332,7 @@ class Points:
             return numbers, self._inverse_warp
         none = np.zeros((surrounding, numbers.shape[1]), np.float32)
         none[:, Number.COVARIANCE_XX] = 1.0
-        unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (surrounding, 2, 2))
-        return np.concatenate((numbers, none)), np.concatenate((self._inverse_warp, unchanged))
+        return np.concatenate((numbers, none)), np.concatenate((self._inverse_warp, identities(surrounding)))
 
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
@@ -354,7 +348,6 @@ class Points:
         points = corrected.found
         self._steps.append(corrected)
         if not self._by_key:
-            assert image is not None
             self._templates = self._engine.prepare(image, points.points[0])
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._plan_template_update(corrected.warp[-1], corrected.shift[-1])

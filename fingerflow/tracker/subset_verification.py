@@ -1,12 +1,13 @@
 """Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin or dust."""
 
 import math
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import STEP, TRACKED, Engine, Images, noise_of
+from fingerflow.kernels.arrays import identities
 from fingerflow.tracker.window_match import Sampler, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
@@ -35,12 +36,6 @@ class Verified(NamedTuple):
     held: Array
     variance: Array
 
-    @classmethod
-    def none(cls, points: int) -> Self:
-        """Return the result of points that all follow their skin."""
-        nothing = np.zeros(points, dtype=bool)
-        return cls(nothing, nothing, np.zeros(points, np.float32))
-
 
 class Verification:
     """Verification of tracked points: compares the present window of each point with the window in the key frame.
@@ -65,10 +60,10 @@ class Verification:
     def __init__(self, engine: Engine, image: Images, points: Array) -> None:
         """Sample the window of each point (N, 2) px in the key frame `image` (1, 1, h, w)."""
         self._engine = engine
-        straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
-        self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight)
+        self._first = engine.windows(image, np.zeros(len(points), np.int64), points, identities(len(points)))
         self._variance = self._first.var(1, ddof=1)
-        self.latest = Verified.none(len(points))
+        nothing = np.zeros(len(points), dtype=bool)
+        self.latest = Verified(nothing, nothing, np.zeros(len(points), np.float32))
         self.correlation = np.full(len(points), np.nan, np.float32)
 
     def check(self, images: Images, points: Array, status: Array, warp: Array) -> Verified:
@@ -80,9 +75,8 @@ class Verification:
         `warp` (N, 2, 2) is the deformation gradient in the last image, NaN where it is not known.
         """
         frames = len(images)
-        tracked = status == TRACKED
         # Number of the last image with the point tracked, counted from 1; 0 if there is none.
-        last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
+        last = ((status == TRACKED) * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)
         positions = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
 

@@ -10,7 +10,7 @@ from tomlkit.items import Table as TomlTable
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording
-from fingerflow.results.atomic_write import spare, write_atomically
+from fingerflow.results.atomic_write import spare, write_text
 from fingerflow.schema.scene import Scene, scene_of_text, toml_remedy
 from fingerflow.schema.scene_check import MISSING, SceneCheck
 from fingerflow.schema.scene_kinds import KINDS, default_kind
@@ -63,8 +63,7 @@ class Draft:
         path, number = recording.path.absolute().parent / "scene.toml", 2
         while path.exists():
             path, number = path.with_stem(f"scene-{number}"), number + 1
-        text = scene_text(frames=recording.path.name, calibration="")
-        draft = cls(path, text, None)
+        draft = cls(path, scene_text(frames=recording.path.name, calibration=""), None)
         draft.set(("views",), _default_views("press", height, width))
         draft.set(("background", "frames"), None)
         return draft
@@ -190,8 +189,7 @@ class Draft:
         """
         path = self.path if to is None else to.resolve()
         text = self.text
-        scene = scene_of_text(text, path)
-        spare(path, *scene.files()[1:])
+        spare(path, *scene_of_text(text, path).files()[1:])
         if path.exists():
             # This raises an error for a result or a recording, which a scene never replaces.
             content = read_text(path, _REMEDY)
@@ -199,7 +197,7 @@ class Draft:
                 _parsed(content, path)
             if not replace and (path != self.path or content != self._stored):
                 raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
-        write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
+        write_text(path, text)
         self.path, self._stored = path, text
         return path
 

@@ -91,8 +91,7 @@ class Previewer:
             batch = self._batch(frame)
             batch.steps[ContactStage] = self._contact.step(batch)
             tracking.step(batch)
-        points = trial.results["position_px"][np.array([frame])][0]
-        return points, frame, list(tracking.warnings)
+        return trial.results["position_px"][np.array([frame])][0], frame, list(tracking.warnings)
 
     def _begin_trial(self, stored: int) -> RunContext:
         """Return a new context for running stages of `process`, with storage for the results of `stored` frames."""

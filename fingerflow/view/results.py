@@ -85,7 +85,7 @@ class Results:
         data = self.data
         if not 0 <= frame < data.sizes["frame"]:
             raise FingerflowError(f"frame {frame} is not among the {data.sizes['frame']} of {self.path}")
-        numbers: dict[str, Any] = {name: values[frame] for name, values in self._courses.items()}
+        numbers = {name: values[frame] for name, values in self._courses.items()}
         numbers["time"], numbers["text"] = float(data["time"][frame]), self._text_of_frame(frame)
         numbers |= {name: self._row(name, frame) for name in ("ellipse_center", "ellipse_semi_axes") if name in data}
         arrays: dict[str, NDArray[Any]] = {}
@@ -260,7 +260,7 @@ class Results:
         if last not in LABELS:
             return values
         if part == "length":
-            return np.asarray(np.linalg.norm(values, axis=-1))
+            return np.linalg.norm(values, axis=-1)
         if part not in LABELS[last]:
             raise FingerflowError(f"{key}: the components are {', '.join(LABELS[last])}")
         return values[..., LABELS[last].index(part)]

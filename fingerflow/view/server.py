@@ -4,7 +4,7 @@ import os
 import re
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Self
@@ -165,7 +165,7 @@ def application(session: Session) -> Starlette:
         route("/api/write", session.write, bodies.WriteBody),
         route("/api/process", session.process, bodies.ProcessBody),
         route("/api/end", session.end, bodies.EndBody),
-        route("/api/report", session.report, Body),
+        route("/api/report", lambda _: session.report(), Body),
         route("/api/progress", lambda request: session.progress(request.query_params.get("of", ""))),
         route(f"/{session.report_name}", report),
         route("/api/result", lambda _: session.result()),
@@ -177,8 +177,7 @@ def application(session: Session) -> Starlette:
         route("/api/result/table", session.table, bodies.TableBody),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    handlers: Mapping[Any, Any] = {FingerflowError: _refused, OSError: _refused}
-    return Starlette(routes=routes, exception_handlers=handlers)
+    return Starlette(routes=routes, exception_handlers={FingerflowError: _refused, OSError: _refused})
 
 
 def _variables(_: object) -> dict[str, dict[str, object]]:

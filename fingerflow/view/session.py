@@ -132,8 +132,8 @@ class Session:
             raise FingerflowError(
                 f"frame {frame} is not among the {len(pictures.recording)} of {pictures.recording.path}"
             )
-        facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
-        arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
+        facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
+        arrays = {"picture": pictures.picture(frame)}
         if contact:
             try:
                 facts["numbers"], maps = self._contact_facts(self._previewer(), frame)
@@ -148,8 +148,7 @@ class Session:
         packed bytes.
         """
         points, frame, warnings = self._previewer().chosen()
-        first = self._previewer().scene.recording.first_frame
-        facts = {"frame": frame + first, "warnings": [*map(reword, warnings)]}
+        facts = {"frame": frame + self._previewer().scene.recording.first_frame, "warnings": [*map(reword, warnings)]}
         return packed(facts, {"points": points.astype(np.float32)})
 
     def forces(self) -> bytes:
@@ -251,9 +250,8 @@ class Session:
         self._runs["process"] = Command(arguments, to)
         return self.progress("process")
 
-    def report(self, request: Mapping[str, Any]) -> Facts:
+    def report(self) -> Facts:
         """Start `fingerflow report`, which writes `report.html` and `overlay.mp4` into the scene's folder."""
-        del request
         self._refuse_two()
         result, scene = self._opened_result().path, self._result_scene().path
         self._runs["report"] = Command(["report", scene, "--result", result], scene.parent / "report.html")
@@ -288,8 +286,7 @@ class Session:
 
     def result(self) -> Facts:
         """Return metadata of the result, the views of its scene and properties of its recording."""
-        result = self._opened_result()
-        facts = result.facts()
+        facts = self._opened_result().facts()
         try:
             scene = self._result_scene()
             facts["views"] = {name: {"rows": view.rows, "columns": view.columns} for name, view in scene.views.items()}
@@ -301,9 +298,8 @@ class Session:
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
         """Return the values of a frame of the result as packed bytes, with its image if the recording can be read."""
-        result = self._opened_result()
-        numbers, arrays = result.frame(frame, shown)
-        facts: Facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
+        numbers, arrays = self._opened_result().frame(frame, shown)
+        facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
         try:
             scene = self._result_scene()
             pictures = self._shown_pictures(scene.recording.frames, None)

@@ -36,8 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def test_one_file_is_a_suite(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command.main(["counting", "--json", str(folder / "new" / "run.json"), "--remark", "nothing else ran"])
-    printed = capsys.readouterr().out
-    assert "## counting\nCounts to two." in printed
+    assert "## counting\nCounts to two." in capsys.readouterr().out
     record = json.loads((folder / "new" / "run.json").read_text())
     assert record["suites"]["counting"]["rows"] == [
         {"name": "one", "value": 1.0},

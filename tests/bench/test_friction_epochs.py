@@ -63,7 +63,6 @@ def test_the_sinusoid_does_not_bias_the_bins() -> None:
     middles = 1e6 * (edges[1:] + edges[:-1]) / 2
     exact = trace(noise=0.0)
     for law in (lambda um: 0.9 - 0.2 * um, lambda um: 0.9 * np.exp(-0.5 * um)):
-        mu = law(1e6 * exact["amplitude"].numpy())
-        exact["tangential"] = torch.from_numpy(mu) * exact["normal"]
+        exact["tangential"] = torch.from_numpy(law(1e6 * exact["amplitude"].numpy())) * exact["normal"]
         median, _, _ = friction_epochs(**exact, edges=edges).over_epochs()
         assert median.tolist() == pytest.approx(law(middles.numpy()).tolist(), abs=2e-3)

@@ -73,8 +73,7 @@ def test_clutter_is_no_disc() -> None:
     for row, column in random.integers(5, 245, (40, 2)):
         if all(np.hypot(column - disc.x, row - disc.y) > 45 for disc in TARGET):
             levels[row : row + 3, column : column + 3] -= 40
-    found = find_discs(camera(levels, noise=2), count=3)
-    assert center_errors(found, TARGET).max() < 0.05
+    assert center_errors(find_discs(camera(levels, noise=2), count=3), TARGET).max() < 0.05
 
 
 def test_what_is_in_the_background_belongs_to_the_rig() -> None:

@@ -27,7 +27,7 @@ OBLIQUE[:, 2] = np.array(MIDDLE) - OBLIQUE[:, :2] @ MIDDLE
 
 
 def applied(matrix: Array, points: Array) -> Array:
-    return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+    return points @ matrix[:, :2].T + matrix[:, 2]
 
 
 Discs = tuple[DrawnDisc, ...]
@@ -57,8 +57,7 @@ def test_transform_between_drawn_views(matrix: Array) -> None:
     noise.
     """
     target = np.concatenate([draw(TARGET, SHAPE), draw(moved(TARGET, matrix), SHAPE)], axis=1)
-    empty = np.full(SHAPE, 20.0)
-    frame_of_ring = np.concatenate([empty, ring(60.3)], axis=1)
+    frame_of_ring = np.concatenate([np.full(SHAPE, 20.0), ring(60.3)], axis=1)
     found = calibrate(camera(target, noise=1), frame_of_ring, VIEWS, hole_radius_mm=2.0)
     assert found.affine is not None
     corners = np.array([(disc.x, disc.y) for disc in TARGET])

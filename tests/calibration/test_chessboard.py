@@ -48,13 +48,12 @@ def _frames(folder: Path, lens: Lens) -> dict[str, Path]:
 
 def _bounded(squares: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a board of 14 x 12 squares on white."""
-    inside = ((position > 0) & (position < (14 * 24, 12 * 24))).all(-1)
-    return np.where(inside, squares, 180.0)
+    return np.where(((position > 0) & (position < (14 * 24, 12 * 24))).all(-1), squares, 180.0)
 
 
 def _through(lens: Lens, picture: NDArray[np.float64], view: View) -> NDArray[np.float64]:
     column, row = np.moveaxis(lens.straighten(_PIXELS, view).astype(np.float32), -1, 0)
-    return np.asarray(cv2.remap(picture, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+    return cv2.remap(picture, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,8 +50,7 @@ def bundle(bundle_of_trials: Path) -> Bundle:
 
 @pytest.fixture(scope="module")
 def engines(bundle: Bundle) -> Both:
-    onnx_engine = choice.open_onnx(bundle)
-    return Both(onnx_engine, TorchEngine(bundle.engine_settings, torch.device("cpu")))
+    return Both(choice.open_onnx(bundle), TorchEngine(bundle.engine_settings, torch.device("cpu")))
 
 
 def view(name: str, frame: int | str) -> Array:
@@ -180,6 +179,12 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
         assert np.isfinite(ours.place[given]).all()
 
 
+def keyed_and_tracked(engine: Any, points: Array) -> tuple[Any, Callable[[], Any]]:
+    """Return templates of points, and a function that tracks them in a later frame with the templates there are."""
+    templates, image = keyed(engine, points), engine.images(view("topography", FRAME))
+    return templates, lambda: engine.track(templates, image, points, np.zeros_like(points)).found
+
+
 def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -> None:
     """Both engines update templates for a deformation of the skin alike, of more points than one call of the graph
     takes.
@@ -189,11 +194,10 @@ def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -
     rows = np.arange(0, len(points), 2)[:70]
 
     def updated(engine: Any) -> Any:
-        templates = keyed(engine, points)
-        image = engine.images(view("topography", FRAME))
-        before = engine.track(templates, image, points, np.zeros_like(points)).found
+        templates, track = keyed_and_tracked(engine, points)
+        before = track()
         templates.update(rows, engine.prepare(templates, points[rows], warp[rows]))
-        return before, engine.track(templates, image, points, np.zeros_like(points)).found, templates.numbers
+        return before, track(), templates.numbers
 
     (_, _), (ours, theirs), (our_numbers, numbers) = both(engines, updated)
     same_found(ours, theirs, points)
@@ -213,12 +217,11 @@ def test_templates_are_updated_in_the_memory_of_a_provider(
     of_array = GraphSession.kept
     monkeypatch.setattr(GraphSession, "kept", lambda session, name, array: of_array(session, name, array.copy()))
     monkeypatch.setattr(sessions, "CPU", "the processor has no part in it")
-    templates = keyed(engine, points)
-    image = engine.images(view("topography", FRAME))
-    before = engine.track(templates, image, points, np.zeros_like(points)).found.points
+    templates, track = keyed_and_tracked(engine, points)
+    before = track().points
     rows = np.flatnonzero(np.isfinite(before[0, :, 0]))[:20]
     templates.update(rows, engine.prepare(templates, points[rows] + np.float32(0.5)))
-    moved = engine.track(templates, image, points, np.zeros_like(points)).found.points
+    moved = track().points
     np.testing.assert_allclose((moved - before)[0, rows], 0.5, atol=0.1)
 
 

@@ -256,8 +256,7 @@ def _stream(folder: Path) -> list[Sample]:
     from tests.fuzz.__main__ import play
 
     _bundle(folder)
-    results = play(folder / "bundle")
-    files = {path.name: path.read_bytes() for path in results.iterdir()}
+    files = {path.name: path.read_bytes() for path in play(folder / "bundle").iterdir()}
     return [Sample(files, name, ".") for name in ("header.json", "header.json", "events.jsonl", "records.bin")]
 
 

@@ -32,8 +32,7 @@ def drawn(
         radius = torch.hypot(u, v)
         border = (1 - radius) * radius / torch.hypot(u / semi_axes[0], v / semi_axes[1]).clamp_min(1e-12)
         across = (x * math.cos(angle) + y * math.sin(angle)) / PERIOD_PX + phase
-        ridge = PERIOD_PX * (share / 2 - (across - across.round()).abs())
-        return border, torch.minimum(ridge, border)
+        return border, torch.minimum(PERIOD_PX * (share / 2 - (across - across.round()).abs()), border)
 
     real_area = float((margins(x, y)[1] > 0).sum()) / fine**2
     coarse = torch.arange(size, dtype=torch.float64) - size / 2 + 0.25

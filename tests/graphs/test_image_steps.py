@@ -35,7 +35,6 @@ def test_modules_are_steps_of_kornia() -> None:
     augment = AugmentationSequential(
         ImageSequential(*steps), RandomHorizontalFlip(p=1.0), data_keys=["input", "keypoints"]
     )
-    points = torch.tensor([[[3.0, 4.0]]]).repeat(3, 1, 1)
-    flipped, moved = augment(FRAMES, points)
+    flipped, moved = augment(FRAMES, torch.tensor([[[3.0, 4.0]]]).repeat(3, 1, 1))
     assert torch.equal(flipped, expected.flip(3))
     torch.testing.assert_close(moved, torch.tensor([[[28.0, 4.0]]]).repeat(3, 1, 1))

@@ -34,6 +34,12 @@ def grid() -> Tensor:
     return torch.stack((x, y), -1).reshape(1, -1, 2)
 
 
+def deformed_grid() -> tuple[Tensor, Tensor, Tensor]:
+    """Return points, a deformation that stretches by 2 %, and the points where it takes them."""
+    points, deformation = grid(), torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
+    return points, deformation, ((points.double() - MIDDLE) @ deformation.T + MIDDLE).float()
+
+
 def corrected_for_deformation(points: Tensor, found: TrackedPoints, templates: Templates, inverse_warp: Tensor) -> Any:
     """Return the points with their positions and covariances corrected, the deformation and expected positions."""
     given = points, found.points, found.covariance, templates.numbers, inverse_warp
@@ -46,9 +52,7 @@ def test_a_template_that_does_not_know_the_deformation_leans_as_far_as_stated() 
     of 2 % the edge of a window of 25 px is off by a quarter of a pixel. At the corners of the cloud of points fits are
     one-sided.
     """
-    deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
-    points = grid()
-    truth = ((points.double() - MIDDLE) @ deformation.T + MIDDLE).float()
+    points, deformation, truth = deformed_grid()
     templates = prepare_templates(picture(torch.eye(2, dtype=torch.float64)), points, 25)
     found = find_templates(templates, picture(deformation), truth)
     assert (found.status == TrackStatus.TRACKED).all()
@@ -67,9 +71,7 @@ def test_the_stated_deviation_does_not_count_the_deformation_as_noise(gain_offse
     0.25 px at the edges, the residual has five times the energy of the noise. Corrected variances are those of
     templates that know the stretch to a tenth, the effect of second order.
     """
-    deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
-    points = grid()
-    truth = ((points.double() - MIDDLE) @ deformation.T + MIDDLE).float()
+    points, deformation, truth = deformed_grid()
     generator = torch.Generator().manual_seed(0)
     key, frame = (
         picture(one) + 2 * torch.randn(1, 1, *SHAPE, generator=generator)

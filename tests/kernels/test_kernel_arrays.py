@@ -75,8 +75,7 @@ def test_views_however_they_lie_in_memory() -> None:
 
 
 def test_no_points_and_no_frames() -> None:
-    none = np.zeros((2, 0, 2), np.float32)
-    assert followed(FRAME, none, ONES)[0].shape == (1, 2, 0, 2)
+    assert followed(FRAME, np.zeros((2, 0, 2), np.float32), ONES)[0].shape == (1, 2, 0, 2)
     arrays = {"image": FRAME, "start": POINTS, "inverse_warp": None, "variance": ONES}
     templates = compiled("prepare_templates")(**arrays, window=11, gain_offset=1, rounding=0.0)
     points, *_, position, _ = tracking.find_templates(templates, FRAME[:0], POINTS, None, None, 2, 0.0, 1.0, 0.5)

@@ -14,7 +14,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking as native
 from fingerflow.kernels.library import compiled
 from fingerflow.ops.tracking.search import search_and_return
-from tests.kernels.twins import places_in_skin, skin
+from tests.kernels.twins import places_in_skin, searched_images, skin
 from tests.ops.tracking import test_outliers as fields
 from tests.small_trials import TINY_PRESS, TRIALS
 
@@ -39,8 +39,7 @@ def test_the_same_outliers(name: str, instruction_set: int, torch_threads: Threa
     differ = 0
     for size in (0.0, 0.1, 0.3, 1.0, 5.0):
         given, _ = fields.planted(moved, size)
-        gone = torch.rand(given.shape[:2], generator=torch.Generator().manual_seed(5)) < 0.1
-        given[gone] = torch.nan
+        given[torch.rand(given.shape[:2], generator=torch.Generator().manual_seed(5)) < 0.1] = torch.nan
         expected = fields.find(given, deviation)
         for one, other in zip(judged(fields.POINTS, given, deviation, fields.GAUGE), expected, strict=True):
             differ += int((one != other.numpy()).sum())
@@ -75,7 +74,7 @@ def test_the_same_search_both_ways(window: int, radius: int, instruction_set: in
     kernels are those of the two searches.
     """
     torch_threads(3)
-    key, current = torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
+    key, current = searched_images()
     index = torch.arange(40) % 2
     guess = places_in_skin() + 0.3
     guess[0, 0], guess[1, 1], guess[2, 0] = torch.nan, torch.inf, 1e30
@@ -97,8 +96,7 @@ def topography(press: Any) -> Array:
     """Return the topography view (1, 1, H, W) of a frame in contact, not copied, so that its rows are apart in
     memory.
     """
-    view: Array = press.views["topography"].crop(press.render(3 * press.n_frames // 4))
-    return view[None, None]
+    return press.views["topography"].crop(press.render(3 * press.n_frames // 4))[None, None]
 
 
 def pictures() -> dict[str, Array]:

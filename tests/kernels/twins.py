@@ -243,8 +243,13 @@ def places_in_skin(count: int = 40) -> Tensor:
     return random(count, 2, seed=3) * torch.tensor([189.0, 150.0])
 
 
+def searched_images() -> tuple[Tensor, Tensor]:
+    """Return two images (2, 1, H, W) of skin, before and after it has moved."""
+    return torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
+
+
 def searches() -> Iterator[Call]:
-    images = torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
+    images = searched_images()
     start, guess = places_in_skin(), places_in_skin() + 0.3
     guess[:3] = torch.tensor([[torch.nan, 1.0], [1.0, torch.inf], [1.0, torch.nan]])
     blank = torch.full_like(images[0], 7.0)

@@ -31,8 +31,7 @@ def constant_load(newton: float, along: float = 0.0) -> Array:
 def bent(chain: Chain, size: float = 3e-5) -> Array:
     """Return nodes (N + 1, 2) displaced at random, with some elements on the plate."""
     off = size * np.random.default_rng(0).standard_normal(chain.reference.shape) - np.array([0, 2e-4])
-    nodes: Array = nodes_of(chain) + np.vstack((off, (2e-5, -2.3e-4)))
-    return nodes
+    return nodes_of(chain) + np.vstack((off, (2e-5, -2.3e-4)))
 
 
 def energy(chain: Chain, nodes: Array) -> float:

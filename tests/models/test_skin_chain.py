@@ -72,8 +72,7 @@ def test_converges_with_the_number_of_elements() -> None:
         (press(0.3, elements=n, tolerance_m=2e-8).position[:: (n - 1) // 100] - fine).square().mean().sqrt().item()
         for n in counts
     ]
-    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    assert 1.3 < order < 2.7, errors
+    assert 1.3 < (-np.polyfit(np.log(counts), np.log(errors), 1)[0]) < 2.7, errors
     assert errors[-1] < 2e-8
 
 

@@ -23,8 +23,7 @@ def stretching(elements: int) -> PressedChain:
     waited = (time[:, None] - place.abs()).clamp_min(0)
     x = place * (1 + c * waited)
     z = torch.where(waited > 0, -waited, place.abs() - time[:, None])
-    pressed = follow(0.0, time[:2], 1.0, elements=5)
-    parts = dict(vars(pressed))
+    parts = dict(vars(follow(0.0, time[:2], 1.0, elements=5)))
     parts |= {"position": torch.stack((x, z), -1), "contact_length": 2 * time * 1.0}
     return PressedChain(**parts)
 

@@ -58,8 +58,7 @@ def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
     assert result["gross_contact_area_std"].values[0] == result["real_contact_area_std"].values[0] == 0.01
     for name in ("ellipse_angle", "median_divergence", "global_displacement"):
         assert np.isnan(result[name].values[0]), name
-    never = result["onset_frame"].values < 0
-    assert np.isnan(result["displacement"].values[:, never]).all()
+    assert np.isnan(result["displacement"].values[:, result["onset_frame"].values < 0]).all()
 
 
 def test_the_rigid_residual_of_too_little_is_unknown(scene: Scene, result: xr.Dataset) -> None:

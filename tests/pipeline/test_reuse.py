@@ -157,8 +157,7 @@ def test_results_of_another_engine_are_computed_again(
     """Results of another engine agree only to rounding and are computed again, as reuse is bit for bit."""
     scene, wanted = load_scene(folder / "scene.toml"), ["real_contact_area"]
     path = tmp_path / "torch.h5"
-    by_torch = process(scene, wanted, engine="torch", to=path)
-    assert by_torch.attrs["engine"] == "torch"
+    assert process(scene, wanted, engine="torch", to=path).attrs["engine"] == "torch"
     ran.clear()
     default = process(scene, wanted, earlier=path)
     assert ran == ({"loading", "frame_check", "contact"} if default.attrs["engine"] == "native" else set())
@@ -188,8 +187,7 @@ def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: s
     """
     shutil.copytree(folder, tmp_path / "press")
     result, scene = tmp_path / "press" / "result.h5", tmp_path / "press" / "scene.toml"
-    arguments = ["process", str(scene), "--from", str(result)]
-    found = CliRunner().invoke(app, arguments)
+    found = CliRunner().invoke(app, ["process", str(scene), "--from", str(result)])
     assert found.exit_code == 0, found.exception
     assert "deformation" in found.stdout
     assert not ran & PICTURES
@@ -199,8 +197,7 @@ def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: s
     assert "taken from" in found.stdout
     with xr.open_dataset(result, engine="h5netcdf") as stored:
         assert_same(stored.load(), process(scene))  # from a result that was itself reused, and replaced in its file
-    nothing = CliRunner().invoke(app, ["process"])
-    assert "name a scene file" in str(nothing.exception)
+    assert "name a scene file" in str(CliRunner().invoke(app, ["process"]).exception)
 
 
 # Settings that stages declare, against settings that they read.

@@ -112,8 +112,7 @@ def producer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_a_gentl_camera_gives_frames_and_its_own_times(stream: Stream, producer: str) -> None:
     Harvester.frames = [(frame(contact_px=10 * k), 10**9 + 4_000_000 * k) for k in range(5)]
     camera = f"genicam:{producer},serial=17,ExposureTime=900,PixelFormat=Mono8"
-    ended = stream.run("--camera", camera, "--policy", "every", "--frames", "5")
-    records = ended.results.records
+    records = stream.run("--camera", camera, "--policy", "every", "--frames", "5").results.records
     np.testing.assert_array_equal(records["real_contact_area"], np.arange(5) * 2.5)
     np.testing.assert_allclose(records["time"], np.arange(5) * 0.004, atol=1e-9)
     assert (records["latency"] > 0).all()

@@ -160,8 +160,7 @@ def test_hostile_bundles_end_in_a_sentence(stream: Stream) -> None:
     facts = json.loads(path.read_text())
     texts = ["", "[" * 100_000, "NaN", "[]", "null", "1" * 5000, '{"format": 10}', json.dumps(facts) * 2]
     values = (None, True, -1, 10**400, float("nan"), 1e308, "x" * 5000, "\ud800", [[]] * 99, {"a": {}})
-    tables = (facts["recipe"], *(table for table in facts["recipe"].values() if table), facts)
-    for table in tables:
+    for table in (facts["recipe"], *(table for table in facts["recipe"].values() if table), facts):
         for name, value in list(table.items()):
             for table[name] in values:
                 texts.append(json.dumps(facts))

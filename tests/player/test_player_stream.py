@@ -128,8 +128,7 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
     generator = np.random.default_rng(5)
     shown = FOUND + [(10, 0)] * 20 + FOUND
     moved = np.cumsum(generator.choice((-0.5, 0, 0.5), len(shown))).clip(-6, 6)
-    stretched = 0.03 * np.sin(np.arange(len(shown)) / 9)
-    given = enumerate(zip(shown, moved, stretched, strict=True))
+    given = enumerate(zip(shown, moved, 0.03 * np.sin(np.arange(len(shown)) / 9), strict=True))
     frames = np.stack([frame(one[0], 40 * i % 3000, far, more, one[1]) for i, (one, far, more) in given])
     np.save(stream.folder / "frames.npy", frames)
     source = ("--source", str(stream.folder / "frames.npy"))
@@ -227,8 +226,7 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
     black[:, :WIDTH] = 0
     frames = [frame()] * 4 + [black] * 10 + [frame()] * 10
     ended = stream.run(*stream.frames(frames), "--policy", "every")
-    events = [(event["event"], event["frame"]) for event in ended.results.events]
-    assert events == [("restart", 0)]
+    assert [(event["event"], event["frame"]) for event in ended.results.events] == [("restart", 0)]
     # Three black frames could be a jump that returns; the fourth shows that the picture has changed for good.
     assert not ended.results.records["frame_status"].any()
     np.testing.assert_array_equal(

@@ -110,8 +110,7 @@ def test_precise_rate_of_newer_cameras_and_short_setup_of_older_ones(tmp_path):
 @pytest.mark.parametrize(("lost", "annotation", "left"), [(1, 0, 4), (121, 0, 4), (350, 0, 2), (200, 100, 4)])
 def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost, annotation, left):
     frames = frames_of(12)  # 120 bytes each, after 8 bytes or more with an annotation
-    whole = cine(frames, annotation=bytes(annotation)).bytes()
-    (tmp_path / "cut.cine").write_bytes(whole[:-lost])
+    (tmp_path / "cut.cine").write_bytes(cine(frames, annotation=bytes(annotation)).bytes()[:-lost])
     recording = open_recording(tmp_path / "cut.cine")
     np.testing.assert_array_equal(recording.read(), frames[:left])
     assert recording.warnings[0].startswith(f"truncated: {5 - left} of 5 frames are missing")

@@ -85,13 +85,19 @@ def damaged_chunk(folder: Path) -> Path:
     return flipped(folder / "a.h5", place + 30)
 
 
-def damaged_page(folder: Path) -> Path:
-    with tifffile.TiffWriter(folder / "a.tif") as writer:
+def write_pages(folder: Path, **settings: str) -> Path:
+    path = folder / "a.tif"
+    with tifffile.TiffWriter(path) as writer:
         for frame in GREY:
-            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
-    with tifffile.TiffFile(folder / "a.tif") as file:
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, **settings)
+    return path
+
+
+def damaged_page(folder: Path) -> Path:
+    path = write_pages(folder, compression="zlib")
+    with tifffile.TiffFile(path) as file:
         place = file.pages[3].dataoffsets[0]
-    return flipped(folder / "a.tif", place + 40)
+    return flipped(path, place + 40)
 
 
 @pytest.mark.parametrize("damaged", [damaged_image, damaged_chunk, damaged_page])
@@ -163,8 +169,7 @@ def test_a_damaged_index_of_chunks_gives_no_wrong_frame(tmp_path, options):
     for done in damaged_indexes(tmp_path / "a.h5", GREY, **options):
         try:
             with open_recording(tmp_path / "a.h5") as recording:
-                frames = recording.read()
-                right = [np.array_equal(frame, one) for frame, one in zip(frames, GREY, strict=True)]
+                right = [np.array_equal(frame, one) for frame, one in zip(recording.read(), GREY, strict=True)]
                 said[done] = set(np.flatnonzero(~np.array(right))) - set(recording.unreadable)
         except FingerflowError as error:
             said[done] = str(error)
@@ -233,10 +238,7 @@ def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path
 
 
 def test_pages_in_the_same_bytes_are_no_frames(tmp_path):
-    path = tmp_path / "a.tif"
-    with tifffile.TiffWriter(path) as writer:
-        for frame in GREY:
-            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False)
+    path = write_pages(tmp_path)
     with tifffile.TiffFile(path) as file:
         tag = file.pages[3].tags["StripOffsets"]
         earlier = file.pages[1].dataoffsets[0]
@@ -270,10 +272,7 @@ def fewer_npy(folder: Path) -> Path:
 
 
 def fewer_pages(folder: Path) -> Path:
-    path = folder / "a.tif"
-    with tifffile.TiffWriter(path) as writer:
-        for frame in GREY:
-            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
+    path = write_pages(folder, compression="zlib")
     with tifffile.TiffFile(path) as file:
         place = file.pages[3].offset + file.tiff.tagnosize + len(file.pages[3].tags) * file.tiff.tagsize
     with path.open("r+b") as file:

@@ -205,8 +205,7 @@ def test_one_image_is_a_recording_of_one_frame(tmp_path, suffix):
 def test_grey_in_three_equal_channels_is_kept(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.repeat(GREY16[0][..., None], 3, 2))
     np.testing.assert_array_equal(open_recording(tmp_path / "a.png")[0], GREY16[0])
-    opaque = np.dstack([GREY8[0]] * 3 + [np.full_like(GREY8[0], 255)])
-    cv2.imwrite(str(tmp_path / "b.png"), opaque)
+    cv2.imwrite(str(tmp_path / "b.png"), np.dstack([GREY8[0]] * 3 + [np.full_like(GREY8[0], 255)]))
     np.testing.assert_array_equal(open_recording(tmp_path / "b.png")[0], GREY8[0])
 
 

@@ -78,8 +78,7 @@ def test_the_command_prints_lines_for_the_scene(
     assert rows["subset"].startswith("15 × 15 px (0.49")
     assert rows["image acquisition rate"] == "16 Hz"
     assert rows["virtual strain gauge"].startswith("1.6 mm (49 px)")
-    period = float(rows["pattern"].split()[2])
-    assert period == pytest.approx(SMALL_PRESS.texture.period, rel=0.1)
+    assert float(rows["pattern"].split()[2]) == pytest.approx(SMALL_PRESS.texture.period, rel=0.1)
     other = replace(stated, tracking=replace(stated.tracking, window_px=17))
     changed = result.assign_attrs(settings=other.as_json())
     rows = {name: value for table in practice_tables(changed, other).values() for name, value in table}

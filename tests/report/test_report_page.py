@@ -45,10 +45,9 @@ def told(page: Path) -> str:
 
 
 def of_frames(count: int, **values: Any) -> xr.Dataset:
-    time = np.arange(count) / 100
     return xr.Dataset(
         {name: (("frame", "xy")[: np.ndim(one)], one) for name, one in values.items()},
-        coords={"time": ("frame", time), "frame": np.arange(count)},
+        coords={"time": ("frame", np.arange(count) / 100), "frame": np.arange(count)},
         attrs={"warnings": "[]"},
     )
 

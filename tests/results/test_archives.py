@@ -42,8 +42,7 @@ def test_nwb_holds_every_variable_with_its_unit(result: xr.Dataset, tmp_path: Pa
                 np.testing.assert_array_equal(series.timestamps[:], result["time"].values)
                 assert (series.unit, series.description) == (values.attrs["units"], values.attrs["long_name"])
             else:
-                column = module[str(values.dims[0])][str(name)]
-                np.testing.assert_array_equal(column.data[:], values.values)
+                np.testing.assert_array_equal(module[str(values.dims[0])][str(name)].data[:], values.values)
         assert (file.subject.subject_id, file.subject.species) == ("P07", "Homo sapiens")
         assert "components [['x', 'y']]" in module["position"].comments
         assert module["status"].comments.startswith("values 0, 1, 2 ... mean tracked not_finite")

@@ -28,8 +28,7 @@ def test_the_size_is_that_of_what_comes_out(scene: Scene) -> None:
     at the border.
     """
     result = process(scene)
-    stages = plan(None, scene).stages
-    given = [one for stage in stages for one in stage.gives if one.unasked]
+    given = [one for stage in plan(None, scene).stages for one in stage.gives if one.unasked]
     expected = room.size_of_results(given, result.sizes["frame"], result.sizes["point"])
     assert result.nbytes < expected < 1.25 * result.nbytes
     assert {one.name for one in given} <= set(VARIABLES)
@@ -79,8 +78,7 @@ def test_a_disk_that_fills_meanwhile(
     scene: Scene, writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If the disk becomes full during a run, an older result stays and nothing of the new one remains."""
-    result = process(scene, ["real_contact_area"])
-    save_result(result, tmp_path / "result.h5")
+    save_result(process(scene, ["real_contact_area"]), tmp_path / "result.h5")
     before = (tmp_path / "result.h5").read_bytes()
     asked = 0
 

@@ -27,7 +27,7 @@ _FRICTION = 0.9, 0.03  # coefficient without vibration and at the largest amplit
 def divergences(softness: float) -> Values:
     """Return the divergence (C,) by condition at 3 N of skin whose printed stiffnesses are divided by `softness`."""
     friction = torch.from_numpy(_FRICTION[0] * (_FRICTION[1] / _FRICTION[0]) ** (_AMPLITUDES / _AMPLITUDES.max()))
-    return np.asarray(press(friction, parameter_set("paper").softer(softness), load_n=_LOAD_N, elements=101).divergence)
+    return press(friction, parameter_set("paper").softer(softness), load_n=_LOAD_N, elements=101).divergence
 
 
 def simulate_table(

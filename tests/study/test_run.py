@@ -122,8 +122,7 @@ def test_only_runs_matching_trials_and_refuses_a_pattern_without_any(study: Mani
     assert set(_run(study, scheduler, only="02_*")) == {entry.name for entry in study.trials if entry.name[:2] == "02"}
     with pytest.raises(FingerflowError, match="no trial has such a name"):
         plan_run(study, only="03_*")
-    table = table_of(study)
-    assert (table["status"] == "not run").sum() == 4
+    assert (table_of(study)["status"] == "not run").sum() == 4
 
 
 def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:

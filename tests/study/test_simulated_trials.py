@@ -42,8 +42,7 @@ def test_forces_times_and_rates_are_those_printed(presses: Presses) -> None:
     assert 1.0 <= presses.duration.min() < presses.duration.max() <= 2.5
     reference, comparison = presses.pairs()
     assert np.log(comparison.force / reference.force).std() == pytest.approx(0.12, rel=0.05)
-    persons = np.log(presses.force)
-    assert _by_participant(presses, persons).std() == pytest.approx(0.45, rel=0.1)
+    assert _by_participant(presses, np.log(presses.force)).std() == pytest.approx(0.45, rel=0.1)
 
 
 def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
@@ -108,8 +107,7 @@ def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
         assert presses.gross_contact_area[number] == pytest.approx(truth.gross_contact_area_mm2(-1), rel=0.025)
         assert presses.real_contact_area[number] == pytest.approx(truth.real_contact_area_mm2(-1), rel=0.04)
         if press.progress(press.times[peak]) >= 1:
-            divergence = truth.medians(peak).divergence
-            assert presses.divergence[number] == pytest.approx(divergence, abs=2e-3)
+            assert presses.divergence[number] == pytest.approx(truth.medians(peak).divergence, abs=2e-3)
         assert truth.medians(press.n_frames - 1).displacement_x == pytest.approx(presses.shift[number, 0], abs=1e-9)
 
 
@@ -153,5 +151,4 @@ def _by_participant(presses: Presses, values: NDArray[np.float64]) -> NDArray[np
 
 def _in_order(table: pd.DataFrame, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return drawn values in the order of the rows of a table."""
-    of_each = values.size // 2
-    return values[(table["participant"] - 1) * of_each + table["trial"] - 1]
+    return values[(table["participant"] - 1) * (values.size // 2) + table["trial"] - 1]

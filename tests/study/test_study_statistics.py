@@ -85,8 +85,7 @@ def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_
     frame = pd.DataFrame(simulate_table(participants=6, trials=2))
     frame = frame[[*list(frame)[:5], "divergence", "strain", "curl", "global_displacement", "force_angle", "max_force"]]
     frame = frame.assign(reference="")
-    without = differences(frame)
-    assert without == {}
+    assert differences(frame) == {}
     of_none = frame.assign(condition=-1.0, trial=100 + frame["trial"], answer=None, divergence=0.01)
     both = pd.concat((frame.assign(reference=100 + frame["trial"]), of_none), ignore_index=True)
     for name in (one.removesuffix("_difference") for one in DIFFERENCES):

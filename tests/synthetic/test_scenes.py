@@ -27,6 +27,5 @@ def test_times_count_from_the_trigger(kind: type[SyntheticScene]) -> None:
     assert np.diff(time) == pytest.approx(1e-4)
     assert time[0] <= scene.times[0]
     assert time[-1] >= scene.times[-1]
-    edge = np.flatnonzero(np.diff(trigger))
-    assert time[edge + 1] == pytest.approx([0.0], abs=1e-12)
+    assert time[np.flatnonzero(np.diff(trigger)) + 1] == pytest.approx([0.0], abs=1e-12)
     assert set(trigger) == {0.0, 5.0}

@@ -60,8 +60,7 @@ def test_onset_frame_is_the_first_inside(scene: SyntheticScene) -> None:
 
 def relative_radius(ellipse: Ellipse, position: Array) -> float:
     """Return the relative radius of a position in an ellipse, in NumPy, by rotation into the ellipse's axes."""
-    turn = np.exp(-1j * ellipse.angle)
-    principal = complex(*(position - np.array(ellipse.centre))) * turn
+    principal = complex(*(position - np.array(ellipse.centre))) * np.exp(-1j * ellipse.angle)
     return math.hypot(principal.real / ellipse.semi_axes[0], principal.imag / ellipse.semi_axes[1])
 
 

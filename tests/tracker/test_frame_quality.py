@@ -60,8 +60,7 @@ def test_skin_that_moves_is_no_jump() -> None:
     skin = _skin()
     way = np.cumsum(np.linspace(0, 1.0, 40))
     assert _statuses([_moved(skin, px) for px in way]) == ["usable"] * 40
-    jumps = [_moved(skin, 0.1 * k + 5 * (k >= 20)) for k in range(40)]
-    assert _statuses(jumps) == ["usable"] * 40
+    assert _statuses([_moved(skin, 0.1 * k + 5 * (k >= 20)) for k in range(40)]) == ["usable"] * 40
 
 
 @pytest.mark.parametrize(("length", "later"), [(1, -15), (2, 10), (LONGEST, 20)])

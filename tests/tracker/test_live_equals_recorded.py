@@ -218,5 +218,4 @@ def _without_passing_touch(recorded: xr.Dataset) -> Array:
     border = FrameEllipse(*(recorded[f"ellipse_{name}"].values for name in FrameEllipse._fields))
     seen = touches.add_frames(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32), border)
     elsewhere = (seen.position != recorded["reference_position"].values).any(-1)
-    result: Array = ~(seen.touching & elsewhere).any(1)
-    return result
+    return ~(seen.touching & elsewhere).any(1)

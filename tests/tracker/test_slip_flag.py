@@ -19,11 +19,11 @@ COVERED = np.ones(400, np.uint8)
 
 def turned(angle: float, shift: tuple[float, float]) -> np.ndarray:
     cosine, sine = math.cos(angle), math.sin(angle)
-    return np.asarray(POINTS @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
+    return POINTS @ np.array([[cosine, sine], [-sine, cosine]]) + shift
 
 
 def noise() -> np.ndarray:
-    return np.asarray(0.03 * DRAW.standard_normal(POINTS.shape))
+    return 0.03 * DRAW.standard_normal(POINTS.shape)
 
 
 def test_the_residual_is_that_of_the_op() -> None:
@@ -57,7 +57,7 @@ def test_the_flag_outlives_a_choice_of_other_points() -> None:
 
     def slipped(points: np.ndarray) -> np.ndarray:
         ahead = 1 + 3 * np.square((points - 150) / 150).sum(1)
-        return np.asarray(points + np.stack((ahead, 0 * ahead), 1))
+        return points + np.stack((ahead, 0 * ahead), 1)
 
     flag = SlipFlag()
     flag.update(old, std, covered)

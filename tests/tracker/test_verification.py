@@ -34,8 +34,7 @@ def skin(x: Array, y: Array) -> Array:
     positions look alike.
     """
     ridges = np.sin(2 * math.pi * (0.8 * x + 0.6 * y + 4 * np.sin(y / 30)) / 15)
-    found: Array = 128 + 40 * ridges + 20 * np.sin(2 * math.pi * (x - 0.4 * y) / 37 + 1.0)
-    return found
+    return 128 + 40 * ridges + 20 * np.sin(2 * math.pi * (x - 0.4 * y) / 37 + 1.0)
 
 
 def picture(gradient: Array, shift: tuple[float, float], noise: float, seed: int) -> Array:
@@ -46,8 +45,7 @@ def picture(gradient: Array, shift: tuple[float, float], noise: float, seed: int
     back = there @ np.linalg.inv(np.eye(2) + gradient).T + middle
     light = skin(back[..., 0], back[..., 1])
     drawn = torch.randn(light.shape, generator=torch.Generator().manual_seed(seed)).numpy()
-    noisy: Array = light + noise * drawn
-    return noisy.astype(np.float32)[None]
+    return (light + noise * drawn).astype(np.float32)[None]
 
 
 def points(gradient: Array, shift: tuple[float, float]) -> tuple[Array, Array]:
@@ -210,8 +208,7 @@ def test_points_that_fail_have_no_position_and_are_counted(tmp_path: Path, monke
     assert (plain["window_differs_share"].values == 0).all()
     monkeypatch.setattr(Points, "_step", beside)
     result = process(scene_path)
-    status = result["status"].values
-    differs = status == TrackStatus.WINDOW_DIFFERS
+    differs = result["status"].values == TrackStatus.WINDOW_DIFFERS
     assert differs[8:, :3].any(0).all()
     assert not differs[:, 3:].any()
     for name in ("position", "position_px", "position_std_px", "displacement"):

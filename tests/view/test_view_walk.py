@@ -110,7 +110,7 @@ def _middle_of_contact(picture: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the grey levels around the centre of the contact view in a screenshot of the picture."""
     grey = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE).astype(np.float64)
     rows, columns = grey.shape
-    return np.asarray(grey[int(0.40 * rows) : int(0.60 * rows), int(0.70 * columns) : int(0.80 * columns)])
+    return grey[int(0.40 * rows) : int(0.60 * rows), int(0.70 * columns) : int(0.80 * columns)]
 
 
 def test_raw_files_are_processed_by_the_lines_of_the_docs(
@@ -120,7 +120,6 @@ def test_raw_files_are_processed_by_the_lines_of_the_docs(
     (block,) = _BLOCK.findall((DOCS / "own_recording.md").read_text(encoding="utf-8"))
     assert len([line for line in block.splitlines() if line.strip()]) < 15
     monkeypatch.chdir(files)
-    names: dict[str, Any] = {"__name__": "page"}
-    exec(compile(block, "own_recording.md", "exec"), names)
+    exec(compile(block, "own_recording.md", "exec"), {"__name__": "page"})
     is_as_true(files, finger)
     assert (files / "report.html").is_file()

@@ -152,6 +152,5 @@ def walk(page: Any, seen: Seen) -> None:
     page.wait_for_selector("#report-link a")
     with page.context.expect_page() as opening:
         page.click("#report-link a")
-    report = opening.value
-    report.wait_for_selector("h1")
+    opening.value.wait_for_selector("h1")
     seen("report")

@@ -131,8 +131,7 @@ def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
 
 
 def _columns(values: ArrayLike, *labels: ArrayLike) -> tuple[NDArray[Any], ...]:
-    columns = (np.asarray(values, dtype=np.float64), *map(np.asarray, labels))
-    flat = tuple(column.reshape(-1) for column in columns)
+    flat = tuple(column.reshape(-1) for column in (np.asarray(values, dtype=np.float64), *map(np.asarray, labels)))
     if len({column.size for column in flat}) > 1:
         raise ValueError(
             f"{flat[0].size} values in {[column.size for column in flat[1:]]} groups: name that of every value"

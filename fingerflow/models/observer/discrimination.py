@@ -116,7 +116,7 @@ def auc(correct: ArrayLike, incorrect: ArrayLike, participants: Participants) ->
         least = 0.5 / math.prod(group.size for group in values)
         areas = _area(values, *rest)
         area[0] = float(areas[0])
-        return np.asarray(ndtri(areas.clip(least, 1 - least)))
+        return ndtri(areas.clip(least, 1 - least))
 
     found = _estimated((correct, incorrect), participants, 1, quantile)
     return replace(found, value=area[0], interval=tuple(ndtr(found.interval).tolist()))
@@ -256,7 +256,7 @@ def _d_prime(values: list[Values], units: list[Units], weights: Values) -> Value
         return mean + sums[1] / sums[0], np.where(variance > rounding, variance, np.nan)
 
     (mean, variance), (other_mean, other_variance) = map(moments, values, units)
-    return np.asarray((mean - other_mean) / np.sqrt((variance + other_variance) / 2))
+    return (mean - other_mean) / np.sqrt((variance + other_variance) / 2)
 
 
 def _area(values: list[Values], units: list[Units], weights: Values) -> Values:
@@ -268,9 +268,9 @@ def _area(values: list[Values], units: list[Units], weights: Values) -> Values:
         below = np.searchsorted(ranked, correct, "left") + np.searchsorted(ranked, correct, "right")
         wins[:, q] = np.bincount(units[0], below / 2, people)
     counts = [weights @ np.bincount(unit, minlength=people) for unit in units]
-    return np.asarray(((weights @ wins) * weights).sum(1) / math.prod(counts))
+    return ((weights @ wins) * weights).sum(1) / math.prod(counts)
 
 
 def _share(criterion: float, values: list[Values], units: list[Units], weights: Values) -> Values:
     above, number = (np.bincount(units[0], by, weights.shape[1]) for by in (values[0] > criterion, None))
-    return np.asarray((weights @ above) / (weights @ number))
+    return (weights @ above) / (weights @ number)

@@ -44,8 +44,7 @@ class PsychometricFit:
 
     def __call__(self, stimulus: ArrayLike) -> Values:
         """Return the share of answers, 0 to 1, that the fitted psychometric curve predicts at stimuli of any shape."""
-        x = np.asarray(stimulus, dtype=np.float64)
-        return _curve(x, self.threshold, 1 / self.width, self.guess, self.lapse)
+        return _curve(np.asarray(stimulus, dtype=np.float64), self.threshold, 1 / self.width, self.guess, self.lapse)
 
 
 def fit_psychometric(
@@ -145,4 +144,4 @@ def _most_likely(x: Values, yes: Values, number: Values, guess: float | None) ->
 
 def _curve(x: Values, threshold: float, slope: float, guess: float, lapse: float) -> Values:
     height = 1 - guess - lapse
-    return np.asarray(guess + height * ndtr((x - threshold) * slope + ndtri((SHARE - guess) / height)))
+    return guess + height * ndtr((x - threshold) * slope + ndtri((SHARE - guess) / height))

@@ -138,7 +138,7 @@ def _shape(relative: Values) -> Values:
     """Return unscaled curves (G, E, F) of the stuck area share d^2 before a collapse, for E curvatures and G histories
     (G, 1, F) of the load relative to that at the collapse.
     """
-    return np.asarray(np.sqrt(np.maximum(1 - relative, 0) + _BENDS) - np.sqrt(_BENDS))
+    return np.sqrt(np.maximum(1 - relative, 0) + _BENDS) - np.sqrt(_BENDS)
 
 
 def _least_squares(first: Values, second: Values, values: Values) -> tuple[Values, Values]:

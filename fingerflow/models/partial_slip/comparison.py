@@ -100,5 +100,4 @@ def _deviance(squared: Values) -> float:
     scale, up to a constant that is common to all curves.
     """
     scale = student_scale(squared)
-    terms = np.log(scale) + (STUDENT_FREEDOM + 1) * np.log1p(squared / (STUDENT_FREEDOM * scale))
-    return float(terms.sum())
+    return float((np.log(scale) + (STUDENT_FREEDOM + 1) * np.log1p(squared / (STUDENT_FREEDOM * scale))).sum())

@@ -64,8 +64,7 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
     within = torch.where(fades, load <= kinetic * (1 + _ROUNDING), (discriminant > 0) | at_fold) & (load >= 0)
     inside = within & ~at_fold & (discriminant > 0)
     root = torch.where(inside, torch.where(inside, discriminant, 1).sqrt(), 0)
-    area = (1 - load / (static + root)).clamp(min=0)
-    return torch.where(within, area, torch.nan)
+    return torch.where(within, (1 - load / (static + root)).clamp(min=0), torch.nan)
 
 
 def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
@@ -109,10 +108,7 @@ def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
 
 
 def _arguments(first: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, ...]:
-    result: tuple[Tensor, ...] = torch.broadcast_tensors(
-        torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k)
-    )
-    return result
+    return torch.broadcast_tensors(torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k))
 
 
 def _friction(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, Tensor]:

@@ -96,13 +96,11 @@ def fit_friction(
 
     if too_few:
         return fit(np.full(4, np.nan), np.full((2, 4), np.nan), too_few)
-    draws = _block_weights(area.size, resamples, seed)
     estimates, (estimate,) = (
         _friction_numbers(fit_family(PARTIAL_SLIP, area, load, noise, weights)[0])
-        for weights in (draws, np.ones((1, area.size)))
+        for weights in (_block_weights(area.size, resamples, seed), np.ones((1, area.size)))
     )
-    tails = [(1 - level) / 2, (1 + level) / 2]
-    intervals = np.quantile(estimates, tails, axis=0)
+    intervals = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2], axis=0)
     width = intervals[1, 2] - intervals[0, 2]
     if width < _WIDEST and estimate[0] > 0:
         return fit(estimate, intervals, "")
@@ -150,7 +148,7 @@ def student_weights(squared: Values, weights: Values) -> Values:
     F): those of Student's t-distribution at the residuals' scale, small for outliers.
     """
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
-    return np.asarray((STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300)))
+    return (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
 
 
 def student_scale(squared: Values) -> float:

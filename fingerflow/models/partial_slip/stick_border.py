@@ -71,7 +71,7 @@ class BorderFit(NamedTuple):
         """Return the displacement, mm, that a measurement with the blur `seen` shows at distances (K,) mm beyond the
         border of the stick region, relative to skin that has not moved.
         """
-        return np.asarray(self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0])
+        return self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0]
 
     def slip_distance(self, displacement: float) -> float:
         """Return the distance beyond the border of the stick region, mm, at which the fitted, unblurred displacement
@@ -88,7 +88,7 @@ def window_offsets(half_window: float) -> Values:
     """
     side = half_window * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
     across, along = np.cos(_ANGLES)[:, None, None] * side, np.sin(_ANGLES)[:, None, None] * side[:, None]
-    return np.asarray(np.sort((across + along).ravel()).reshape(_PLACES, -1).mean(1))
+    return np.sort((across + along).ravel()).reshape(_PLACES, -1).mean(1)
 
 
 def blurred_ramp(distance: Values, half_window: float) -> Values:
@@ -100,16 +100,14 @@ def blurred_ramp(distance: Values, half_window: float) -> Values:
     offsets = window_offsets(half_window)
     at = np.linspace(-2 * half_window, 2 * half_window, 400)
     means = np.maximum(at[:, None] + offsets, 0).mean(1)
-    return np.asarray(np.where(distance > at[-1], distance, np.interp(distance, at, means)))
+    return np.where(distance > at[-1], distance, np.interp(distance, at, means))
 
 
 def border_level(width: Values, fit: BorderFit, seen: RampResponse) -> Values:
     """Return the displacement (K,), mm, that a measurement with the blur `seen` shows at the border of a stick region,
     if skin slips by the fitted law across an annulus (K,) mm wide and moves rigidly beyond it.
     """
-    return np.asarray(
-        fit.blurred_displacement(np.zeros(1), seen) - fit.blurred_displacement(-np.maximum(width, 0), seen)
-    )
+    return fit.blurred_displacement(np.zeros(1), seen) - fit.blurred_displacement(-np.maximum(width, 0), seen)
 
 
 def fit_border(
@@ -166,8 +164,7 @@ def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResp
     knots = (max(float(distance.max()), 0.0) + _BLUR_MM) * _KNOTS
     p, a = powers[:, None], roundings[:, None]
     law = (knots**2 + a**2) ** (p / 2) - a**p
-    bends = np.diff(np.diff(law) / np.diff(knots), prepend=0.0)
-    return np.asarray(bends @ seen(distance - knots[:-1, None]))
+    return np.diff(np.diff(law) / np.diff(knots), prepend=0.0) @ seen(distance - knots[:-1, None])
 
 
 def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Values, Values]:

@@ -22,11 +22,9 @@ def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32)
     values = count_bytes(image) if image.dtype == torch.bool and cell <= 255 else image.to(precision)
     if height % cell or width % cell:
         values = functional.pad(values, (0, -width % cell, 0, -height % cell))
-    lines = values.unflatten(2, (-1, cell))
     # Sum the columns first, by adding whole lines: torch adds slices faster than it reduces a short axis. ONNX runtimes
     # reduce.
-    down = add_all(lines.unbind(3))
-    columns = down.to(precision).unflatten(3, (-1, cell))
+    columns = add_all(values.unflatten(2, (-1, cell)).unbind(3)).to(precision).unflatten(3, (-1, cell))
     return (columns.sum(4) if torch.compiler.is_exporting() else add_all(columns.unbind(4))) / cell**2
 
 

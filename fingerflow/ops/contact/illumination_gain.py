@@ -68,8 +68,7 @@ def _uppermost_mode(passed: Tensor, passed_squared: Tensor, light: Tensor, light
     quotient = torch.where(variance < sizes.ROUGH**2, quotient, 0.0)
     number = lit.to(quotient.dtype).sum(1, keepdim=True)
     # Start from the least of the brightest 3 % of the blocks: reflections lie above it.
-    count = max(1, round(sizes.TOP * quotient.shape[1]))
-    gain = quotient.topk(count, dim=1).values[:, -1:]
+    gain = quotient.topk(max(1, round(sizes.TOP * quotient.shape[1])), dim=1).values[:, -1:]
     for width in sizes.WIDTHS:
         near = ((quotient - gain).abs() <= width * gain).to(quotient.dtype)
         gain = (quotient * near).sum(1, keepdim=True) / near.sum(1, keepdim=True).clamp_min(1)

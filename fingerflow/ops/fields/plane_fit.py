@@ -64,9 +64,7 @@ def point_support(positions: Tensor, queries: Tensor) -> Support:
     """
     norm, asked_norm = sum_rows(positions * positions), sum_rows(queries * queries)
     support = torch.cat((2 * positions, -torch.ones_like(norm), 1 - norm), dim=1)
-    query_rows = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
-    near = query_rows.mT @ support
-    inside = near.clamp_min(0)
+    inside = (torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1).mT @ support).clamp_min(0)
     return inside * inside, inside.clamp_max(_ONE)
 
 
@@ -137,8 +135,7 @@ def gradient_covariance(fit: PlaneFit, positions: Tensor, covariance: Tensor, ra
     `covariance` (B, 3, N) is that of the points: uu, uv, vv, 0 where not usable. The sandwich A^-1 (sum w^2 s d d')
     A^-1 is exact for this linear estimator and independent errors.
     """
-    constant = torch.ones_like(positions[:, :1])
-    of_places = torch.cat((constant, positions, squares(positions)), dim=1)  # (., 6, N)
+    of_places = torch.cat((torch.ones_like(positions[:, :1]), positions, squares(positions)), dim=1)  # (., 6, N)
     weighted = (covariance[:, :, None] * of_places[:, None]).flatten(1, 2)
     sums = _product(weighted, fit.weights * fit.weights).unflatten(1, (3, 6)) / (fit.mass * fit.mass)[:, None]
     x, y = fit.centroid[:, None, :1], fit.centroid[:, None, 1:]

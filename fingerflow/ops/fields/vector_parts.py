@@ -57,8 +57,7 @@ def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
     _check(field, mask)
     if field.numel() == 0:
         return Parts(field.clone(), field.clone(), field.clone())
-    dtype = torch.promote_types(torch.float32, field.dtype)
-    values = field.to(dtype)
+    values = field.to(torch.promote_types(torch.float32, field.dtype))
     inside = torch.isfinite(values).all(1, keepdim=True)
     if mask is not None:
         inside = inside & mask

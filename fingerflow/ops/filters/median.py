@@ -121,8 +121,7 @@ def _row_median(frames: Tensor, size: int) -> Tensor:
         plane.reshape(batch, grid_y, grid_x)[:, :tiles, :width]
         for plane in run_network(program.steps, program.outputs, phases, grid_x, views=False)
     ]
-    woven = torch.stack(medians, dim=2).reshape(batch, 1, tiles * rows, width)
-    return woven[:, :, :height]
+    return torch.stack(medians, dim=2).reshape(batch, 1, tiles * rows, width)[:, :, :height]
 
 
 @functools.cache

@@ -34,8 +34,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
     if not images.requires_grad and not torch.compiler.is_exporting():
         wide = F.pad(images, (size, size, 0, 0), mode="replicate")
         column = (corner[:, 0, None] + size).clamp(0, width + size)
-        first = (row + image_index[:, None] * height) * wide.shape[3] + column
-        return take_lines(wide, first, size)
+        return take_lines(wide, (row + image_index[:, None] * height) * wide.shape[3] + column, size)
     # The gradient with respect to the view in `take_lines` would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
     return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
@@ -150,8 +149,7 @@ def take_lines(planes: Tensor, first: Tensor, length: int) -> Tensor:
     """
     if not len(first):
         return planes.new_empty(*first.shape, length)
-    lines = planes.flatten().unfold(0, length, 1).index_select(0, first.flatten())
-    return lines.reshape(*first.shape, length)
+    return planes.flatten().unfold(0, length, 1).index_select(0, first.flatten()).reshape(*first.shape, length)
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:

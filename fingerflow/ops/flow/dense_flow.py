@@ -236,8 +236,7 @@ def prepare_flow(
     _check_choice("constancy", constancy, Constancy)
     dtype = torch.float64 if first.dtype == torch.float64 else torch.float32
     variance = (estimate_noise(first) if noise is None else noise).to(dtype).square()
-    least = rounding_variance(first)
-    variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
+    variance = variance.nan_to_num(0.0).clamp_min(max(rounding_variance(first), _TINY))
     everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
     template = _build_template(first.to(dtype), everywhere.to(dtype), variance, box, roughness, constancy)
     return template._replace(covariance=_covariance(template, template.levels[0]))

@@ -124,8 +124,7 @@ def _search_coarse(
         return score[point, (row + down).clamp(0, span - 1), (column + right).clamp(0, span - 1)]
 
     vertices = _vertex(beside(0, -1), peak, beside(0, 1)), _vertex(beside(-1, 0), peak, beside(1, 0))
-    subpixel = torch.stack(vertices, dim=-1)
-    moved = torch.stack((column, row), dim=-1) - reach + subpixel.to(points.dtype)
+    moved = torch.stack((column, row), dim=-1) - reach + torch.stack(vertices, dim=-1).to(points.dtype)
     # Apply the displacement of the template's centre pixel to the point itself.
     result = points + 2 * (center + moved - start)
     return torch.where((finite & (peak > 0))[:, None], result, guess)

@@ -51,8 +51,7 @@ def correct_short_waves(
     if not near.any():
         return wide
     step = torch.where(near, narrow.points - wide.points, torch.nan)
-    pairs = zip(start, covariance, numbers, strict=True)
-    variance = torch.stack([_variance_of_noise(*pair, window) for pair in pairs])
+    variance = torch.stack([_variance_of_noise(*pair, window) for pair in zip(start, covariance, numbers, strict=True)])
     means, _ = neighbour_planes(start, torch.cat((step.square(), variance), dim=2), _AROUND * window)
     seen, expected = means.split(2, dim=2)
     share = torch.where(finite(step) & (seen > 0), 1 - _CAUTION * expected / seen, 0.0).clamp(0, 1)

@@ -210,8 +210,7 @@ def find_templates(
     dtype = templates.samples.dtype
     variance = None if noise is None else noise.to(dtype).square()
     guess = prediction.to(dtype)
-    rounding = rounding_variance(current)
-    settings = (rounding, forward_backward_limit, mismatch_limit)
+    settings = (rounding_variance(current), forward_backward_limit, mismatch_limit)
     if (
         kernels.serve(current, guess, variance, *templates)
         and current.dtype in kernels.FRAME_KINDS

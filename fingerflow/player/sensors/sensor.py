@@ -16,7 +16,7 @@ class ForceSample(NamedTuple):
 
     time: float
     normal: float
-    tangential: float = math.nan
+    tangential: float
 
 
 class ForceSensor(Protocol):

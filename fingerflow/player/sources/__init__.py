@@ -1,6 +1,5 @@
 """Frame sources of a stream: files and folders of frames here, a module of its own for each kind of camera."""
 
-import importlib
 import logging
 import math
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
+from fingerflow.player.named_objects import load_library
 from fingerflow.player.sources.source import RecordedFrames, Source
 from fingerflow.recordings.frames.open_recording import open_recording
 from fingerflow.recordings.frames.recording import Recording
@@ -41,18 +41,17 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
         return _open_video(path, first)
     except FingerflowError:
         raise
+    except ImportError as error:
+        raise PlayerError(
+            f"{path}: its format needs the library {error.name}: `pip install {error.name}`, or give frames as .npy"
+        ) from None
     except Exception as error:  # libraries do not specify what they raise for a damaged file
         raise PlayerError(f"{path}: cannot be read as frames ({first_line(error)}); copy or save it again") from error
 
 
 def _open_recorded(path: Path, first: int) -> Source:
     """Open a recording in one of those formats of `fingerflow.recordings` that need no video library."""
-    try:
-        recording = open_recording(path)
-    except ImportError as error:
-        raise PlayerError(
-            f"{path}: its format needs the library {error.name}: `pip install {error.name}`, or give frames as .npy"
-        ) from None
+    recording = open_recording(path)
     for sentence in recording.warnings:
         log.warning("%s: %s", path, sentence)
     times = () if recording.times is None else recording.times[first:]
@@ -79,7 +78,7 @@ def _raw(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
     if shape is None:
         raise PlayerError(f"{path}: a raw file needs --shape HEIGHT WIDTH and --dtype of its frames")
     pixels = np.memmap(path, np.dtype(dtype), "r")
-    frames: Array = pixels[: len(pixels) - len(pixels) % math.prod(shape)].reshape(-1, *shape)
+    frames = pixels[: len(pixels) - len(pixels) % math.prod(shape)].reshape(-1, *shape)
     if not len(frames):
         raise PlayerError(
             f"{path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed: it has "
@@ -89,12 +88,7 @@ def _raw(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
 
 
 def _open_video(path: Path, first: int) -> Source:
-    try:
-        cv2 = importlib.import_module("cv2")
-    except ImportError:
-        raise PlayerError(
-            f"{path}: videos need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
-        ) from None
+    cv2 = load_library("cv2", "opencv-python-headless")
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")

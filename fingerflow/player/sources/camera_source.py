@@ -39,12 +39,13 @@ class CameraSource:
         """
         frame = self._grab()
         self.stamp = math.nan
-        if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], np.ndarray):
+        first = frame[0] if isinstance(frame, tuple) and len(frame) == 2 else None
+        if isinstance(first, np.ndarray):
             frame, stamp = frame
             if not isinstance(stamp, (int, float, np.integer, np.floating)):
                 raise self._refused(f"a frame with the time stamp {stamp!r}")
             self.stamp = float(stamp)
-        if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], (bool, np.bool_)):
+        elif isinstance(first, (bool, np.bool_)):
             there, frame = frame
             if not there:
                 raise OSError("the camera gave (False, ...) in place of a frame")

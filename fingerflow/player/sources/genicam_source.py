@@ -78,5 +78,4 @@ def open_address(address: str) -> Source:
     """
     producer, *settings = address.split(",")
     pairs = dict(setting.partition("=")[::2] for setting in settings)
-    serial = pairs.pop("serial", None)
-    return GenICamCamera(producer, serial, pairs)
+    return GenICamCamera(producer, pairs.pop("serial", None), pairs)

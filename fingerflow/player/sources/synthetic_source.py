@@ -79,7 +79,7 @@ class Synthetic:
         """Return the next frame (H, W)."""
         drawn = self._ring[self._buffer_index(self._next)]
         begin = self._next * _NOISE_STEP % _NOISES
-        frame: Array = drawn + self._noise[begin : begin + drawn.size].reshape(drawn.shape)
+        frame = drawn + self._noise[begin : begin + drawn.size].reshape(drawn.shape)
         self._next += 1
         return frame
 

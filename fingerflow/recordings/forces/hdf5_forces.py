@@ -16,7 +16,7 @@ def read_table(path: Path) -> ForceTable:
     `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error.
     """
     table = ForceTable(path, {})
-    rates: set[float] = set()
+    rates = set()
     with open_input(path) as file, reading(path, "HDF5"):
 
         def take(name: str, item: h5py.Group | h5py.Dataset) -> None:

@@ -55,8 +55,7 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
     steps = np.diff(times)
     steps = np.minimum(steps, 2 * np.median(steps))
     durations = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2
-    of_samples = np.stack((times, np.sin(angles), np.cos(angles), durations))
-    around_frames = sliding_window_view(of_samples, width, axis=1)
+    around_frames = sliding_window_view(np.stack((times, np.sin(angles), np.cos(angles), durations)), width, axis=1)
     rows = sliding_window_view(values, width, axis=1)
     result = np.empty((len(values), len(targets)))
     for start in range(0, len(groups), _FRAMES_AT_ONCE):
@@ -112,8 +111,7 @@ def kernel_half_width(nyquist: float) -> float:
     """Return half the length, s, of the low-pass kernel for a Nyquist frequency (Hz), from its transition width by
     Kaiser's rule.
     """
-    transition = (STOP_BAND - PASS_BAND) * nyquist
-    return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
+    return (STOP_BAND_DB - 7.95) / (14.36 * ((STOP_BAND - PASS_BAND) * nyquist)) / 2
 
 
 @cache

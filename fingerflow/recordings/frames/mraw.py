@@ -94,8 +94,7 @@ def open_frames(path: Path) -> FileRecording:
     stored = np.memmap(pixels, np.uint8, "r", 0, (whole, frame_bytes))
     if bits == 12 or shift:
         return FileRecording(description, partial(_decoded, stored, bits, shift, shape))
-    frames = stored.view(dtype.newbyteorder("<")).reshape(whole, *shape)
-    return FileRecording(description, frames)
+    return FileRecording(description, stored.view(dtype.newbyteorder("<")).reshape(whole, *shape))
 
 
 def _decoded(stored: NDArray[np.uint8], bits: int, shift: int, shape: tuple[int, int], index: int) -> Frames:
@@ -105,8 +104,7 @@ def _decoded(stored: NDArray[np.uint8], bits: int, shift: int, shape: tuple[int,
     data = np.asarray(stored[index])
     if bits == 12:
         return unpack(data, 12, shape)
-    pixels: Frames = data.view("<u2") >> np.uint16(shift)
-    return pixels.reshape(shape)
+    return (data.view("<u2") >> np.uint16(shift)).reshape(shape)
 
 
 class _Header:

@@ -39,8 +39,7 @@ def open_frames(path: Path) -> FileRecording:
     try:
         with ExitStack() as opened, reading(path, "TIFF"):
             file = opened.enter_context(tifffile.TiffFile(path))
-            headers = _check_chain(path, file)
-            description, frames = _describe(path, file, headers, complaints)
+            description, frames = _describe(path, file, _check_chain(path, file), complaints)
             if isinstance(frames, np.ndarray):
                 return FileRecording(description, frames)
             opened.pop_all()

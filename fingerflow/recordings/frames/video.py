@@ -282,8 +282,7 @@ class _Pixels:
             if np.any(rgb[..., 1:] != rgb[..., :1]):
                 raise FingerflowError(f"{path}: frame {number} has real colour ({self.name}); convert it to grey first")
             return np.ascontiguousarray(rgb[..., 0])
-        plane = frame.planes[0]
-        values = np.frombuffer(plane, self.stored).reshape(self.shape[0], -1)
+        values = np.frombuffer(frame.planes[0], self.stored).reshape(self.shape[0], -1)
         if self.name in PACKED_LUMA:
             values = values[:, PACKED_LUMA[self.name]]
         return (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
@@ -382,14 +381,13 @@ def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
             f"{path}: pixel format {name} is not grey; known are grey and YUV of 8 to 16 bits, and RGB of 8 bits with "
             "equal channels. Convert the video, for example to FFV1 with gray or gray16le."
         )
-    stored = np.dtype(np.uint8 if bits[0] <= 8 else (">u2" if layout.is_big_endian else "<u2"))
     return _Pixels(
         name=name,
         shape=(height, width),
         dtype=np.dtype(np.uint8 if bits[0] <= 8 else np.uint16),
         bits=8 if is_rgb else bits[0],
         shift=16 - bits[0] if name.startswith(("p0", "p2", "p4")) else 0,  # P010 and similar formats use the upper bits
-        stored=stored,
+        stored=np.dtype(np.uint8 if bits[0] <= 8 else (">u2" if layout.is_big_endian else "<u2")),
         is_rgb=is_rgb,
         is_luma=not is_rgb and len(bits) > 1,
     )

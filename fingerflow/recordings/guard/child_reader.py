@@ -156,7 +156,7 @@ def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
     layout, shape, steps = values.id.get_create_plist(), values.shape, values.chunks
     filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
     plain_bytes = math.prod(steps) * values.dtype.itemsize
-    offsets: set[tuple[int, ...]] = set()
+    offsets = set()
     spans: list[tuple[int, int]] = []
 
     def check(chunk: Any) -> str | None:

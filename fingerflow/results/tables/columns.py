@@ -19,7 +19,7 @@ def frame_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """Return a table with one row per frame: frame number, time, and the variables that have one value or vector per
     frame.
     """
-    columns: Table = {"frame": result["frame"].values, **_component_columns(result["time"])}
+    columns = {"frame": result["frame"].values, **_component_columns(result["time"])}
     for values in _select(result, variables, ("frame",)):
         columns |= _component_columns(values)
     return columns
@@ -32,7 +32,7 @@ def point_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     A variable of points alone, such as the onset, is repeated in every frame.
     """
     frames, points = _sizes(result)
-    columns: Table = {"frame": np.repeat(result["frame"].values, points)}
+    columns = {"frame": np.repeat(result["frame"].values, points)}
     columns |= {name: np.repeat(column, points) for name, column in _component_columns(result["time"]).items()}
     columns["point"] = np.tile(np.arange(points), frames)
     for values in _select(result, variables, ("frame", "point"), ("point",)):
@@ -51,14 +51,13 @@ def track_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
         raise FingerflowError("the result has no position_px, of which tracks are; compute it, or the rows of frames")
     frames, points = _sizes(result)
     position = result["position_px"].values.transpose(1, 0, 2).reshape(-1, 2)
-    columns: Table = {
+    columns = {
         "track_id": np.repeat(np.arange(points), frames),
         "t": np.tile(result["frame"].values, points),
         "y": position[:, 1],
         "x": position[:, 0],
     }
-    named = _select(result, variables, ("frame", "point")) if variables else ()
-    for values in named:
+    for values in _select(result, variables, ("frame", "point")) if variables else ():
         columns |= {name: column.T.reshape(-1) for name, column in _component_columns(values).items()}
     tracked = np.isfinite(position).all(1)
     return {name: column[tracked] for name, column in columns.items()}

@@ -99,7 +99,7 @@ def is_table(path: Path) -> bool:
 
 
 def _write_tiff(part: Path, maps: xr.DataArray) -> None:
-    names: dict[str, str | list[str]] = {"Info": described(maps)}
+    names = {"Info": described(maps)}
     several = maps["component"].values.tolist() != [maps.name]
     if several:
         names["Labels"] = maps["component"].values.tolist() * len(maps)

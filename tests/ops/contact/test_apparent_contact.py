@@ -52,7 +52,7 @@ def by_scipy(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
             rim = share(region, everywhere) if inner > 0.9 else np.clip(near * (near / far) ** 0.6, 0.2, 1)
             region = density > rim * level
     parts, _ = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(region), square)
-    return np.asarray((parts == 1 + np.argmax(np.bincount(parts.flat)[1:])) if parts.any() else parts > 0)
+    return (parts == 1 + np.argmax(np.bincount(parts.flat)[1:])) if parts.any() else parts > 0
 
 
 @pytest.mark.parametrize("radius", [2, 8, 20])

@@ -55,8 +55,7 @@ def test_the_same_as_least_squares_done_one_by_one() -> None:
         coefficients, _ = fit_one_by_one(points[0], values[0], query, GAUGE)
         np.testing.assert_allclose(fit.value[0, index], coefficients[0], atol=1e-12)
         np.testing.assert_allclose(fit.gradient[0, index], coefficients[1:].T, atol=1e-12)
-        inside = int(((points[0] - query).norm(dim=-1) < GAUGE / 2).sum())
-        assert fit.point_count[0, index] == inside
+        assert fit.point_count[0, index] == int(((points[0] - query).norm(dim=-1) < GAUGE / 2).sum())
 
 
 @pytest.mark.parametrize("waves_per_gauge", [0.125, 0.25, 0.5, 1.0])

@@ -17,8 +17,7 @@ def lattice(side: int = 6) -> tuple[Tensor, Tensor]:
     points = points + 0.3 * (torch.rand(points.shape, generator=generator, dtype=torch.float64) - 0.5)
     corner = (side * rows[:-1, :-1] + columns[:-1, :-1]).reshape(-1, 1)
     lower = corner + torch.tensor([0, 1, side])
-    upper = corner + torch.tensor([1, side + 1, side])
-    return points, torch.cat((lower, upper))
+    return points, torch.cat((lower, corner + torch.tensor([1, side + 1, side])))
 
 
 def test_a_linear_field_is_exact() -> None:

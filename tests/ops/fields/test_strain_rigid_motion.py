@@ -37,8 +37,7 @@ def test_the_rigid_residual_is_the_least_squares_minimum() -> None:
     weights = 0.1 + torch.rand(1, 30, generator=torch.Generator().manual_seed(17), dtype=torch.float64)
 
     def residual_of(motion: np.ndarray) -> np.ndarray:
-        turned = rigid_displacement(points, motion[0], (motion[1], motion[2]))
-        return (displacement - turned).numpy()[0]
+        return (displacement - rigid_displacement(points, motion[0], (motion[1], motion[2]))).numpy()[0]
 
     def cost(motion: np.ndarray) -> float:
         return float((weights.numpy()[0, :, None] * residual_of(motion) ** 2).sum())
@@ -72,6 +71,5 @@ def test_one_place_determines_no_rotation(count: int, dtype: torch.dtype, offset
     generator = torch.Generator().manual_seed(19)
     places = torch.rand(50, 1, 2, generator=generator, dtype=torch.float64) + offset
     points = places.to(dtype).expand(-1, count, -1)
-    weights = torch.rand(50, count, generator=generator, dtype=torch.float64).to(dtype)
-    for fitted in (None, weights):
+    for fitted in (None, torch.rand(50, count, generator=generator, dtype=torch.float64).to(dtype)):
         assert rigid_residual(points, wobble(points, 1.0).to(dtype), fitted).isnan().all()

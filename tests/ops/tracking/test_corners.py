@@ -17,8 +17,7 @@ def texture(seed: int, shape: tuple[int, int] = (120, 150), width: float = 2.5) 
 
 def greedy(response: np.ndarray, least: float, count: int, distance: float) -> list[tuple[int, int]]:
     """Return corners (x, y) px chosen by OpenCV's rule, one candidate at a time."""
-    peaks = response == cv2.dilate(response, np.ones((3, 3)))
-    y, x = np.nonzero(peaks & (response > least))
+    y, x = np.nonzero((response == cv2.dilate(response, np.ones((3, 3)))) & (response > least))
     kept: list[tuple[int, int]] = []
     for i in np.argsort(-response[y, x], kind="stable"):
         if all((x[i] - a) ** 2 + (y[i] - b) ** 2 >= distance**2 for a, b in kept):
@@ -39,8 +38,7 @@ def test_response_equals_opencv(window: int) -> None:
 
 @pytest.mark.parametrize("distance", [0, 1.5, 4.9, 5, 23.3])
 def test_selection_equals_the_greedy_rule(distance: float) -> None:
-    frames = np.stack([texture(seed) for seed in (1, 2)])
-    tensor = torch.from_numpy(frames)[:, None]
+    tensor = torch.from_numpy(np.stack([texture(seed) for seed in (1, 2)]))[:, None]
     corners = detect_corners(tensor, 200, distance, quality=0.05, noise=0.0)
     response = corner_response(tensor)
     for b in range(2):

@@ -21,7 +21,7 @@ def press(tiny_press: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def frames(press: Path) -> np.ndarray[Any, Any]:
-    return np.asarray(np.load(press / "frames.npy"))
+    return np.load(press / "frames.npy")
 
 
 @pytest.fixture

@@ -30,8 +30,7 @@ class CourseOfPress(Press):
     entry_steps = 64  # skin may leave the contact, and skin that is dragged may enter it
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        moved = (progress / self.held).clamp(max=1.0)
-        x_still, y_still = super().material(x, y, moved)
+        x_still, y_still = super().material(x, y, (progress / self.held).clamp(max=1.0))
         share = ((progress - self.grown) / (self.held - self.grown)).clamp(0.0, 1.0)
         return x_still - share * self.dragged[0], y_still - share * self.dragged[1]
 

@@ -74,4 +74,4 @@ def run(trial: RunContext, *stages: Stage) -> None:
 
 def values_of(trial: RunContext, name: str) -> NDArray[Any]:
     """Return all values of a variable."""
-    return np.asarray(trial.results[name][:])
+    return trial.results[name][:]

@@ -15,8 +15,7 @@ def functions_at(places: Array) -> Array:
     """Return the K functions (N, K) at positions (2, N)."""
     i, j = FUNCTIONS._powers
     x, y = places[:, :, None]
-    result: Array = (1 - x**2 - y**2) * ((x**i * y**j) @ FUNCTIONS._mixed)
-    return result
+    return (1 - x**2 - y**2) * ((x**i * y**j) @ FUNCTIONS._mixed)
 
 
 def one_fit(numbers: int, noise: float, size: float, seed: int) -> tuple[Array, Array, Array]:

@@ -34,8 +34,7 @@ def test_areas_are_those_of_opencv(scene: Scene) -> None:
     for frame in np.flatnonzero(area > 1)[::5]:
         signal = quotient[first] - quotient[frame]
         levels = np.clip(np.rint(255 * (signal + 0.25) / 1.25), 0, 255).astype(np.uint8)
-        smooth = cv2.medianBlur(levels, 9)
-        _, mask = cv2.threshold(smooth, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+        _, mask = cv2.threshold(cv2.medianBlur(levels, 9), 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
         size = scene.calibration.mm_per_px**2
         expected = mask.sum() * size, cv2.erode(mask, cross).sum() * size

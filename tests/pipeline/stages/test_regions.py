@@ -85,8 +85,7 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
     assert mask is not None
     bundle = SimpleNamespace(height=mask.shape[0], width=mask.shape[1], points=60, bit_depth=8)
     np.testing.assert_array_equal(stream_settings(load_stream(scene.path), cast(Any, bundle)).region, mask)
-    result = process(scene, ["position_px"])
-    first = result["position_px"].values[0]
+    first = process(scene, ["position_px"])["position_px"].values[0]
     x, y = first[np.isfinite(first).all(1)].round().astype(int).T  # more points are seeded later, as the contact grows
     assert len(x) > 20
     assert mask[y, x].all()
@@ -95,8 +94,7 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
 def test_a_picture_is_a_region_and_what_does_not_fit_is_refused(
     press: Path, changed: Callable[..., Scene], drawn: Callable[..., Scene], tmp_path: Path
 ) -> None:
-    shape = load_scene(press / "scene.toml").views.contact.shape
-    picture = np.zeros(shape, np.uint8)
+    picture = np.zeros(load_scene(press / "scene.toml").views.contact.shape, np.uint8)
     picture[10:30, 20:50] = 255
     cv2.imwrite(str(tmp_path / "mask.png"), picture)
     scene = drawn(CONTACT, 'mask = "mask.png"')

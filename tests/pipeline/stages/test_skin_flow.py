@@ -18,7 +18,7 @@ APART = 3.5  # px, a quarter of the ridge period
 def skin(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return grey levels of curved ridges 14 px apart, interrupted by pores."""
     along = np.hypot(x - 20, y + 160)
-    return np.asarray(120 + 40 * np.sin(2 * np.pi * along / 14) + 25 * np.sin(x / 3.1) * np.sin(y / 2.7 + x / 9))
+    return 120 + 40 * np.sin(2 * np.pi * along / 14) + 25 * np.sin(x / 3.1) * np.sin(y / 2.7 + x / 9)
 
 
 def picture(shift: tuple[float, float], seed: int = 0) -> torch.Tensor:
@@ -75,7 +75,7 @@ def seen(at: NDArray[np.float64]) -> NDArray[np.float64]:
 def shown(distance: NDArray[np.float64], growth: float, power: float) -> NDArray[np.float64]:
     """Return the window means of a displacement that grows as growth x^power beyond a border at 0.15 mm."""
     beyond = (0.15 - distance)[:, None] + window_offsets(HALF)
-    return np.asarray(growth * (np.maximum(beyond, 0) ** power).mean(1))
+    return growth * (np.maximum(beyond, 0) ** power).mean(1)
 
 
 @pytest.mark.parametrize(("growth", "power"), [(0.2, 1.0), (0.6, 1.5), (0.2, 2.0)])

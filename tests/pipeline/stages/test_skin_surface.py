@@ -27,8 +27,7 @@ def test_a_linear_field_is_exact_whoever_is_lost() -> None:
 @pytest.mark.parametrize("lost", [0, 40])
 def test_the_surface_is_the_thin_plate_spline_of_the_known_points(lost: int) -> None:
     moved = bent(POINTS)
-    gone = np.random.default_rng(1).permutation(len(POINTS))[:lost]
-    moved[gone] = np.nan
+    moved[np.random.default_rng(1).permutation(len(POINTS))[:lost]] = np.nan
     there = np.isfinite(moved).all(1)
     expected = RBFInterpolator(POINTS[there], moved[there], kernel="thin_plate_spline")(PLACES)
     np.testing.assert_allclose(SkinSurface(POINTS, PLACES)(moved), expected, atol=1e-5)

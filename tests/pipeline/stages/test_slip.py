@@ -219,8 +219,7 @@ def test_jumps_of_5_px_before_full_slip(displacement: str, tmp_path: Path) -> No
         assert np.linalg.norm(position[frame] - true, axis=-1)[seen].max() < 2.5, frame
     assert min(tracked) > 0.5
     found = result["stuck_ratio"].values
-    error = np.abs(found - truth)
-    assert np.nanmax(error) < 0.08
+    assert np.nanmax(np.abs(found - truth)) < 0.08
     assert np.isfinite(found).mean() > (0.6 if displacement == "points" else 0.95)
     assert not (found[last:] > 0).any()
 
@@ -267,8 +266,7 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
     """A contact larger than the view has no d² and no verdict, as its area is unknown, and the reason is given."""
     folder = small(tmp_path / "trial", semi_axes=(4.6, 3.6), finger=(5.0, 4.0), n_frames=24)
     result = process(load_scene(folder / "scene.toml"), ["stuck_ratio", "gross_contact_region"])
-    region = result["gross_contact_region"].values
-    assert region[:, [0, -1]].any((1, 2)).all()
+    assert result["gross_contact_region"].values[:, [0, -1]].any((1, 2)).all()
     for name in ("stuck_ratio", "stuck_area", "leading_area_rate", "incipient_slip", "slip_direction", "slip_speed"):
         assert np.isnan(result[name].values).all(), name
     assert not result["stuck_region"].values.any()

@@ -56,15 +56,13 @@ def material() -> NDArray[np.float64]:
 def positions(motion: Motion, points: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return positions (T, N, 2) mm at times (T, N) or (T, 1)."""
     velocity = np.array(motion.shift) + points @ np.array(motion.gradient).T
-    result: NDArray[np.float64] = points + times[..., None] * velocity
-    return result
+    return points + times[..., None] * velocity
 
 
 def _shared(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the factor (N, N) that gives independent numbers the correlation of overlapping windows, as on a press."""
     apart = np.abs(points[:, None] - points) / MM_PER_PX / WINDOW_PX
-    root: NDArray[np.float64] = np.linalg.cholesky(np.clip(1 - apart, 0, None).prod(-1))
-    return root
+    return np.linalg.cholesky(np.clip(1 - apart, 0, None).prod(-1))
 
 
 def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES, kept: int = 0) -> RunContext:

@@ -34,8 +34,7 @@ def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> Non
         position += SHAKEN[:, None] * moves[..., None]
     frames = np.delete(time, [40] if "lost" in which else [])
     found = vibration(position, inside, frames, PX)[0][frames]
-    expected = SHAKEN[frames] if "camera" in which else 0 * found
-    off = np.abs(found - expected) / np.abs(SHAKEN).max()
+    off = np.abs(found - (SHAKEN[frames] if "camera" in which else 0 * found)) / np.abs(SHAKEN).max()
     assert np.delete(off, range(35, 45), axis=0).max() < 0.1
     assert off.max() < (0.5 if "lost" in which else 0.1)
 

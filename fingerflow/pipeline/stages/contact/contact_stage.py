@@ -202,8 +202,7 @@ class ContactStage(Stage):
         border.
         """
         beyond = ~(self._region_in(np.argmax(self.usable)) | self._largest)
-        away = cv2.distanceTransform(beyond.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        return np.asarray(away <= margin_px)
+        return cv2.distanceTransform(beyond.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= margin_px
 
     def _check_view(self, contact: FrameContact) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
@@ -277,8 +276,7 @@ class ContactStage(Stage):
     def _gross_region(self, contact: FrameContact) -> NDArray[np.bool_]:
         if not (contact.density_margin > 0).any():
             return np.zeros(self._view.shape, dtype=bool)
-        margin = torch.from_numpy(contact.density_margin)
-        return np.asarray(mask_of(margin, self.cell_px, *self._view.shape)[0, 0])
+        return np.asarray(mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)[0, 0])
 
     def _counts(self, frame: int | np.integer) -> NDArray[Any]:
         """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""

@@ -1,7 +1,6 @@
 """Real contact area by the steps printed in a paper (Willemet et al., 2021), for comparison with that paper."""
 
 import numpy as np
-import torch
 from torch.nn import functional
 
 from fingerflow.ops.contact.otsu import otsu_threshold
@@ -42,8 +41,7 @@ class PrintedContactStage(Stage):
         self._reference = self.inputs.reference(self._view)
         self._dark = self.inputs.dark(self._view)
         self._touches = self.results["real_contact_area"][:] > 0
-        first = int(np.argmax(self._touches))
-        self._first = self._normalized(self.inputs.recording[[first]].read())
+        self._first = self._normalized(self.inputs.recording[[int(np.argmax(self._touches))]].read())
 
     def step(self, batch: Batch) -> None:
         touches = self._touches[batch.indices]
@@ -66,5 +64,4 @@ class PrintedContactStage(Stage):
             series[batch.indices[touches]] = values[name].cpu()
 
     def _normalized(self, frames: np.ndarray) -> illumination.NormalizedFrames:
-        view: torch.Tensor = self.inputs.contact_view(frames)
-        return illumination.normalize_illumination(view, self._reference, self._dark)
+        return illumination.normalize_illumination(self.inputs.contact_view(frames), self._reference, self._dark)

@@ -68,13 +68,13 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterato
 
 def outside_region(region: Mask, cell_px: int, radius_px: int) -> Mask:
     """Return the cells, of `cell_px` px, that are further than `radius_px` from those of the gross contact `region`."""
-    return np.asarray(cv2.dilate(region.astype(np.uint8), _disc(-(-radius_px // cell_px))) == 0)
+    return cv2.dilate(region.astype(np.uint8), _disc(-(-radius_px // cell_px))) == 0
 
 
 def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
     """Return the part of the real contact mask `touching` that lies in these `cells` of `cell_px` px."""
     rows, columns = touching.shape
-    return np.asarray(touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
+    return touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns]
 
 
 def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_mm2: float, frame: int) -> Iterator[str]:

@@ -282,8 +282,7 @@ class DeformationStage(Stage):
         """Return the tracked points in n frames."""
         whole, noise = (self.results[f"position_{of}_px"][frames] ** 2 for of in ("std", "noise"))
         position, covered = self.steady_position(frames), self.results["in_contact"][frames]
-        border = self.border.select(frames)
-        return SkinFrames(frames, covered, position, noise, np.maximum(whole - noise, 0), border)
+        return SkinFrames(frames, covered, position, noise, np.maximum(whole - noise, 0), self.border.select(frames))
 
     def _find_onsets(self) -> None:
         touch = Touches(self.results["position"].shape[1])
@@ -362,13 +361,12 @@ class DeformationStage(Stage):
         """
         position, displacement = position[:, self._doubtful], displacement[:, self._doubtful]
         then = np.where(self._seen, self._depth, 0)
-        depth = self._onset_border.select(indices).inside(position)
-        inwards = np.maximum(np.nan_to_num(depth - then), 0) + ELLIPSE_MM
+        inwards = np.maximum(np.nan_to_num(self._onset_border.select(indices).inside(position) - then), 0) + ELLIPSE_MM
         later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
         share = np.minimum(1, BORDER_MM / inwards)
         earlier = np.where(self._seen, 0, ndtr(self._depth / BORDER_MM))
         before = np.square(position - displacement - self._place).sum(-1)
-        result: Points = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
+        result = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
         return np.nan_to_num(result)
 
     def _select_positions(self, frames: NDArray[np.integer]) -> tuple[Points, Points]:

@@ -154,7 +154,7 @@ class DenseFlowSlipStage(SlipStage):
             self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
 
     def _motion(self, frames: Any) -> NDArray[Any]:
-        return np.asarray(self.results["skin_displacement"][frames])
+        return self.results["skin_displacement"][frames]
 
     def _measured(self, frames: Any) -> NDArray[Any]:
         return self._motion(frames)
@@ -173,11 +173,11 @@ class DenseFlowSlipStage(SlipStage):
         row, column = distance_transform_edt(~valid, return_distances=False, return_indices=True)
         filled = motion[row, column].astype(np.float32)
         filled[~grid.known] = 0
-        return np.asarray(filled)
+        return filled
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         positions = grid.centers + motion
-        return np.asarray(positions[np.isfinite(positions).all(-1)])
+        return positions[np.isfinite(positions).all(-1)]
 
     def _noise_level(self, frame: int) -> float:
         return float(self._flow_deviation[frame])
@@ -198,7 +198,7 @@ class DenseFlowSlipStage(SlipStage):
         """
         near = cv2.remap(grid.known.astype(np.uint8), *self._columns_and_rows(grid, shape), cv2.INTER_NEAREST)
         side = 2 * _BESIDE_PX + 1
-        return np.asarray(cv2.dilate(near, np.ones((side, side), np.uint8)) > 0)
+        return cv2.dilate(near, np.ones((side, side), np.uint8)) > 0
 
     def _spread(self, cells: Field, grid: SlipGrid, shape: tuple[int, int]) -> Field:
         """Interpolate vectors (rows, columns, 2) of contact cells to the pixels (H, W, 2) of the topographic view;
@@ -207,7 +207,7 @@ class DenseFlowSlipStage(SlipStage):
         row, column = distance_transform_edt(~grid.known, return_distances=False, return_indices=True)
         at = self._columns_and_rows(grid, shape)
         wide = cv2.remap(cells[row, column].astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(np.nan_to_num(wide))
+        return np.nan_to_num(wide)
 
 
 def _sampled(field: Field, pixels: Field) -> Field:

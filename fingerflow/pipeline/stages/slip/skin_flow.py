@@ -172,7 +172,7 @@ def _nearest_displacement(positions: Field, moved: Field, shape: tuple[int, ...]
     _, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
     of_label = np.zeros((int(label.max()) + 1, 2), np.float32)
     of_label[label[row, column]] = moved
-    return np.asarray(of_label[label])
+    return of_label[label]
 
 
 class FlowResponse:
@@ -209,7 +209,7 @@ class FlowResponse:
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
         blur = np.interp(distance, self._distances, self._blur, left=0.0) if len(self._blur) else 0.0
-        return np.asarray(np.maximum(distance, 0) + blur)
+        return np.maximum(distance, 0) + blur
 
 
 def _blur(

@@ -41,8 +41,7 @@ class SkinSurface:
         if free.shape[1]:
             factor = cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1]))
             self._bend = free @ cho_solve(factor, free.T)
-        flat = np.linalg.pinv(plane)
-        level = flat @ (np.eye(len(scaled)) - bending @ self._bend)
+        level = np.linalg.pinv(plane) @ (np.eye(len(scaled)) - bending @ self._bend)
         between = _kernel(cdist(queries, scaled, "sqeuclidean"))
         lying = np.concatenate((np.ones((len(queries), 1)), queries), 1)
         self._weights = (between @ self._bend + lying @ level).astype(np.float32)
@@ -64,4 +63,4 @@ class SkinSurface:
 
 def _kernel(squared: Points) -> Points:
     """Return the kernel r^2 log r of a thin plate spline, given squared distances r^2."""
-    return np.asarray(squared * np.log(np.maximum(squared, 1e-300)) / 2)
+    return squared * np.log(np.maximum(squared, 1e-300)) / 2

@@ -75,12 +75,12 @@ class SlipGrid:
 
     def fine_mask(self, cells: Mask) -> Mask:
         """Convert a mask of cells to a mask on the fine grid."""
-        return np.asarray(cells.repeat(_FINE, 0).repeat(_FINE, 1))
+        return cells.repeat(_FINE, 0).repeat(_FINE, 1)
 
     def cells(self, fine: Mask) -> Mask:
         """Convert a mask on the fine grid to a mask of cells: True where at least half of a cell is covered."""
         rows, columns = self.known.shape
-        return np.asarray(fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5)
+        return fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5
 
     def share(self, fine: Mask, region: Mask) -> float:
         """Return the area of a mask on the fine grid divided by the area of the mask `region` on the grid of cells."""
@@ -89,7 +89,7 @@ class SlipGrid:
     def covered(self, positions: Array, region: Mask) -> Mask:
         """Return a mask (N,) that is True for positions (N, 2) mm inside a region of cells, and False for NaN."""
         cells = (np.nan_to_num(positions, nan=-np.inf) - self.centers[0, 0]) / (self.fine_mm * _FINE)
-        return np.asarray(map_coordinates(region, cells.clip(-1e6, 1e6).T[::-1], order=0))
+        return map_coordinates(region, cells.clip(-1e6, 1e6).T[::-1], order=0)
 
     def growth(self, regions: tuple[Mask, Mask], earlier: Array, later: Array, pull: Array) -> Array:
         """Return the areas (2,), mm², of skin that the contact gained between two frames, in the half that lies towards
@@ -118,7 +118,7 @@ class SlipGrid:
 
     def sample_points(self, fine: NDArray[Any]) -> NDArray[Any]:
         """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""
-        return np.asarray(fine[self._row, self._column])
+        return fine[self._row, self._column]
 
 
 def growth_rates(growth: Array, times: Array, area: Array, area_std: Array, ridge_mm: float) -> tuple[Array, Array]:

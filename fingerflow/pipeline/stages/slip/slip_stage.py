@@ -157,7 +157,7 @@ class SlipStage(Stage):
 
     def _motion(self, frames: Any) -> NDArray[Any]:
         """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""
-        return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
+        return self.results["position"][frames][:, self._known] - self._first[self._known]
 
     def _measured(self, frames: Any) -> NDArray[Any]:
         """Return the displacement (n, N, 2) mm since the first frame that the windows of N points show near a slip
@@ -168,7 +168,7 @@ class SlipStage(Stage):
         """
         corrections = self.results["deformation_correction_px"]
         now, first = (corrections[part][:, self._known] @ self._of_px.T for part in (frames, slice(0, 1)))
-        return np.asarray(self._motion(frames) + now - first)
+        return self._motion(frames) + now - first
 
     def _points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
         """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
@@ -187,7 +187,7 @@ class SlipStage(Stage):
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         """Return the positions (K, 2) mm, in one frame, of all points whose displacement `motion` is known."""
         positions = grid.points + motion
-        return np.asarray(positions[np.isfinite(positions).all(-1)])
+        return positions[np.isfinite(positions).all(-1)]
 
     def _noise_level(self, frame: int) -> float:
         """Return the median over all points of the standard deviation, px, of a displacement component by image noise
@@ -355,14 +355,14 @@ def _settled(motion: NDArray[Any]) -> NDArray[Any]:
 
     A frame is used only together with its mirror frame: where one side is lost, the other alone would give a lag.
     """
-    return np.asarray(nanmedian(np.where(np.isfinite(motion[::-1]), motion, np.nan)[None])[0])
+    return nanmedian(np.where(np.isfinite(motion[::-1]), motion, np.nan)[None])[0]
 
 
 def _largest(fine: Mask) -> Mask:
     """Return the largest 8-connected part of a mask (H, W), or the first in reading order of equally large ones."""
     parts, _ = label(fine, np.ones((3, 3)))
     sizes = np.bincount(parts[fine], minlength=1)
-    return np.asarray(fine & (parts == sizes.argmax()))
+    return fine & (parts == sizes.argmax())
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> dict[str, float]:

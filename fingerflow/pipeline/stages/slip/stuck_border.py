@@ -168,7 +168,7 @@ class StuckBorder:
         inside = contact & self._grid.fine_mask(self._grid.known)
         length = self._grid.fine(np.linalg.norm(displacement, axis=-1))
         if self.fit is None:
-            return np.asarray(inside & (length < FOLLOWED_MM))
+            return inside & (length < FOLLOWED_MM)
         slipped = displacement[region & self._grid.known & (np.linalg.norm(displacement, axis=-1) > FOLLOWED_MM)]
         along = slipped.sum(0) if len(slipped) else self._direction
         direction = (along / np.linalg.norm(along)).astype(np.float32)
@@ -185,7 +185,7 @@ class StuckBorder:
         # A low level applies to a narrow annulus at the rim. A hole that does not reach the rim is no annulus: below
         # the level of a wide annulus it is noise.
         slow |= binary_fill_holes(slow) & held & (component < self.followed)
-        return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
+        return slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:
         """Return the displacement, mm, of the contour to draw in a slipping annulus `width` mm wide, and how far, mm,
@@ -226,18 +226,17 @@ class Length:
         """
         contact = self._grid.fine_mask(region & self._grid.known)
         if not self._relative:
-            return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))
+            return contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit)
         held = self._grid.sample_points(contact) > 0 if self._held is None else self._held
         if np.sum(held & np.isfinite(moved).all(-1)) < _FEWEST_HELD:
             self._held = np.zeros_like(held)
             return np.zeros_like(contact)
         weights = torch.from_numpy(held.astype(np.float64))[None]
         left = rigid_residual(torch.from_numpy(self._grid.points)[None], torch.from_numpy(moved)[None], weights)
-        slipped = self._grid.displacement(left[0].numpy())
-        length = self._grid.fine(np.linalg.norm(slipped, axis=-1))
+        length = self._grid.fine(np.linalg.norm(self._grid.displacement(left[0].numpy()), axis=-1))
         # Leave out skin near the limit: some of it has slipped already and would bias the fitted motion of the glass.
         self._held = held & (self._grid.sample_points(length) < _HELD_SHARE * self._limit)
-        return np.asarray(contact & (length < self._limit))
+        return contact & (length < self._limit)
 
 
 def _distance(mask: Mask) -> Field:

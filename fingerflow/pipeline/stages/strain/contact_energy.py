@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from fingerflow.kernels.arrays import is_finite
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
@@ -101,7 +102,7 @@ class ContactEnergy:
             since_growth: gives, for numbers (k,) of these frames, the motion (k, N, 2) mm of all points since the
                 border was `GROWTH_MM` inside its present position.
         """
-        counts = counts & np.isfinite(displacement[..., 0] + displacement[..., 1]) & np.isfinite(variance)
+        counts = counts & is_finite(displacement) & np.isfinite(variance)
         of_point = np.maximum(variance, _LEAST_MM**2) * (1 + (self._shared @ counts.T.astype(np.float64)).T)
         energy, deviation = np.full((2, len(counts)), np.nan)
         result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool), np.ones(len(counts)))

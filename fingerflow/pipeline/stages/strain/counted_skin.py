@@ -63,8 +63,7 @@ class CountedSkin:
         self.ends = np.concatenate(ends)
         # Corners of the separate triangles.
         self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
-        separate_corners = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
-        self.corners = np.concatenate([plain, separate_corners])
+        self.corners = np.concatenate([plain, len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)])
         self.since = np.concatenate([stage.begins, since])
         self._since = since
 
@@ -110,8 +109,7 @@ class CountedSkin:
         result = np.zeros(len(triangles), dtype=bool)
         result[touched] = square > _ERROR**2 * abs(np.linalg.det(np.nan_to_num(by_onset)))
         regular = np.isfinite(of_skin).all((1, 2)) & (abs(np.linalg.det(np.nan_to_num(of_skin))) > 1e-12)
-        ratio = np.linalg.solve(of_skin[regular], by_onset[regular])
-        stretches = np.linalg.svd(ratio, compute_uv=False)
+        stretches = np.linalg.svd(np.linalg.solve(of_skin[regular], by_onset[regular]), compute_uv=False)
         result[touched[regular]] |= (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
@@ -165,6 +163,6 @@ def triangulate(positions: Points) -> NDArray[np.int32]:
     if len(finite) < 3:
         return np.zeros((0, 3), dtype=np.int32)
     try:
-        return np.asarray(finite[Delaunay(positions[finite]).simplices])
+        return finite[Delaunay(positions[finite]).simplices]
     except QhullError:  # all points lie on one line
         return np.zeros((0, 3), dtype=np.int32)

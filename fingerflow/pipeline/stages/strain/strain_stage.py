@@ -247,7 +247,7 @@ class StrainStage(Stage):
         Corners are added one by one, as sums over an axis of three take longer.
         """
         first, *rest = self._skin.triangles.T
-        total: NDArray[Any] = values.take(first, axis=1)
+        total = values.take(first, axis=1)
         for corner in rest:
             total += values.take(corner, axis=1)
         return total

@@ -177,7 +177,7 @@ class NewSkin:
         away[row[inside], column[inside]] = 0
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
         spacing = float(np.median(cKDTree(position).query(position, k=2)[0][:, 1]))
-        return np.asarray(distance < spacing / 2)
+        return distance < spacing / 2
 
 
 def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:
@@ -189,4 +189,4 @@ def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:
 def on_topography(region: Mask, topography_to_contact: NDArray[np.float64], shape: tuple[int, ...]) -> Mask:
     """Return a mask of the contact view as a mask of the topographic view, whose shape is given."""
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(region.astype(np.uint8), topography_to_contact, shape[::-1], flags=flags) > 0)
+    return cv2.warpAffine(region.astype(np.uint8), topography_to_contact, shape[::-1], flags=flags) > 0
