@@ -235,7 +235,7 @@ class Entries:
         # Number of frames so far, and of the frame after the first in which the first point touched.
         self._frames = self._begun = 0
         self.onset, self._reference = np.full(count, -1), np.full((count, 2), np.nan)
-        self.entered = np.zeros(count, dtype=bool)
+        self.entered, self._by_motion = np.zeros((2, count), dtype=bool)  # second: by their own motion
         self.of_onset, self._change = np.zeros((2, count, 2, 2))
         self._mean_of_onset, self._variance_of_time, self._mean_of_time = np.zeros((2, 2)), np.zeros(count), 0.0
         self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
@@ -261,7 +261,7 @@ class Entries:
         self._position[row], self._variance[row], self._covered[row] = position, variance, covered
         for history, new in zip(self._border, border, strict=True):
             history[row] = new[0]
-        self.onset[~touching], self.entered[~touching] = -1, False
+        self.onset[~touching], self.entered[~touching], self._by_motion[~touching] = -1, False, False
         if np.logical_or.reduce(begins):
             self._begun = self._begun or self._frames
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
@@ -352,8 +352,7 @@ class Entries:
         if len(rows):
             past, onset = self._position[order[:, None], rows], self.onset[rows] - first
             motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
-            self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
-        later &= is_finite(self._seeded)
+            self._by_motion[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
         kept = self.onset - EntryGradients.BEFORE > self._frames - self.KEPT  # those of which the entry is known
-        extended = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)
+        extended = extend_to_neighbours(self._by_motion, self._seeded, later, NEAR * self._gauge)
         self.entered = extended & (self.entered | kept)
