@@ -455,7 +455,7 @@ class Player:
     def _measure(self) -> None:
         while self._calls.get():
             with self._measuring:
-                self._measure_outcomes(_AT_ONCE if self._alone else 1)
+                self._measure_outcomes(_AT_ONCE if self._alone and self._frames else 1)
         self._measure_outcomes(1)
 
     def _measure_outcomes(self, least: int) -> None:
