@@ -122,10 +122,11 @@ class Player:
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
         self._forces, self._values = forces, values
-        can_wait = settings.process_all and settings.rate is None and not source.live
-        self._can_wait = can_wait  # True if the source can wait for results, as a file played as fast as possible can
-        self._alone = settings.process_all and not can_wait  # True if the computing thread measures, too, unless behind
-        self._senders = [Sender(destination, can_wait, self._record_trigger) for destination in destinations]
+        # True if the source can wait for results, as a file played as fast as possible can.
+        self._can_wait = settings.process_all and settings.rate is None and not source.live
+        # True if the computing thread measures, too, unless behind.
+        self._alone = settings.process_all and not self._can_wait
+        self._senders = [Sender(destination, self._can_wait, self._record_trigger) for destination in destinations]
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # state and message shown on the page
         self._behind = ""  # message shown on the page: how results fall behind the camera
@@ -328,7 +329,9 @@ class Player:
         # While the source is waited for, no frame is late that has not come.
         age = (now if self._waiting_since is None else newest[1]) - measured[1]
         lost = self.dropped + self.overruns, sum(sender.lost for sender in self._senders)
-        return self._keeping_up.describe(now, age, newest[0] - measured[0], lost, self.recent["median"])
+        # Results wait for the first threshold, of a slow camera for seconds.
+        median = None if math.isnan(self._tracker.threshold) else self.recent["median"]
+        return self._keeping_up.describe(now, age, newest[0] - measured[0], lost, median)
 
     def _line(self, latency: Mapping[str, float | None]) -> str:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())

@@ -97,6 +97,15 @@ def test_results_of_a_burst_do_not_wait_for_the_frame_after_it(stream: Stream, m
     assert ended.results.records["latency"].max() < 0.3
 
 
+def test_frames_that_wait_for_a_threshold_are_not_behind(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
+    said, describe = list[str](), stream_module.Player._falls_behind
+    monkeypatch.setattr(stream_module.Player, "_falls_behind", lambda *given: said.append(describe(*given)) or said[-1])
+    pictures = ((time.sleep(0.12), frame())[1] for _ in range(20))
+    assert stream.run(*stream.frames(pictures), "--policy", "every").results.records["latency"].max() > 0.3
+    assert set(said) == {""}
+
+
 #: Numbers of spots and of spots that have moved elsewhere, for each frame of a stream with a new key frame (7 of 10
 #: points are found in four frames) and a restart (4 of 10 in four frames).
 FOUND = [(10, 0)] * 4 + [(7, 0)] * 6 + [(6, 0)] * 2 + [(10, 6)] * 10
