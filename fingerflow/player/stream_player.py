@@ -122,10 +122,11 @@ class Player:
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
         self._forces, self._values = forces, values
-        can_wait = settings.process_all and settings.rate is None and not source.live
-        self._can_wait = can_wait  # True if the source can wait for results, as a file played as fast as possible can
-        self._alone = settings.process_all and not can_wait  # True if the computing thread measures, too, unless behind
-        self._senders = [Sender(destination, can_wait, self._record_trigger) for destination in destinations]
+        # True if the source can wait for results, as a file played as fast as possible can.
+        self._can_wait = settings.process_all and settings.rate is None and not source.live
+        # True if the computing thread measures, too, unless behind.
+        self._alone = settings.process_all and not self._can_wait
+        self._senders = [Sender(destination, self._can_wait, self._record_trigger) for destination in destinations]
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # state and message shown on the page
         self._behind = ""  # message shown on the page: how results fall behind the camera
@@ -329,7 +330,9 @@ class Player:
         # While the source is waited for, no frame is late that has not come.
         age = (now if self._waiting_since is None else newest[1]) - measured[1]
         lost = self.dropped + self.overruns, sum(sender.lost for sender in self._senders)
-        return self._keeping_up.describe(now, age, newest[0] - measured[0], lost, self.recent["median"])
+        # Results wait for the first threshold, of a slow camera for seconds.
+        median = None if math.isnan(self._tracker.threshold) else self.recent["median"]
+        return self._keeping_up.describe(now, age, newest[0] - measured[0], lost, median)
 
     def _line(self, latency: Mapping[str, float | None]) -> str:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
@@ -461,7 +464,7 @@ class Player:
     def _measure_outcomes(self) -> None:
         """Measure the tracked frames and pass on their records, `_AT_ONCE` at a time while others wait."""
         item: Event | FrameOutcome | None = None
-        while item is not None or len(self._outcomes) >= (_AT_ONCE if self._alone and self._frames else 1):
+        while item is not None or len(self._outcomes) >= self._least():
             item, following = item or self._outcomes.get(), None
             if isinstance(item, Event):
                 self._sink.event(item.name, item.frame, **item.facts)
@@ -480,6 +483,10 @@ class Player:
                 if not all(self._pass_record(frame, results, k) for k, frame in enumerate(frames)):
                     return
             item = following
+
+    def _least(self) -> int:
+        """Return the least number of tracked frames to measure: more than one where others wait to be tracked."""
+        return _AT_ONCE if self._alone and self._frames and not self._failure else 1
 
     def _add_frames(self, frames: list[FrameOutcome]) -> Event | FrameOutcome | None:
         """Add frames that can be measured in one call with the first of `frames`, up to `_AT_ONCE`; return the next

@@ -265,11 +265,7 @@ class StreamTracker:
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         work = FrameOutcome(self._index, frame, images, self.threshold)
         if self.measures and self._search.wants(self._index):
-            threshold = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
-            # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
-            # not touch, so a threshold that nearly all pixels exceed is wrong.
-            physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
-            work.measured = threshold if physical else math.nan
+            self._measure_threshold(work)
         assert frame.picture is not None
         if self._points is None:  # no usable frame has arrived yet
             passed.append(self._outcome(work, frame.picture.status))
@@ -297,11 +293,17 @@ class StreamTracker:
         return final
 
     def _release(self) -> list[FrameOutcome]:
-        """Return the outcomes that wait for a threshold, with the first one if it is known."""
+        """Return the outcomes that wait for a threshold, with the first one if the last usable of them shows contact.
+
+        This is the frame in which it is measured, or the one before if that does not count or has not come. The first
+        threshold applies at once, as there is no other yet.
+        """
         held, self._held = self._held, []
-        for outcome in held:
-            if outcome.status == USABLE and math.isnan(outcome.threshold):
-                outcome.threshold = self.threshold
+        usable = [outcome for outcome in held if outcome.status == USABLE]
+        if usable and math.isnan(self.threshold):
+            self.threshold = self._measure_threshold(usable[-1])
+        for outcome in usable:
+            outcome.threshold = self.threshold if math.isnan(outcome.threshold) else outcome.threshold
         return held
 
     def compute_results(self, outcomes: Sequence[FrameOutcome]) -> dict[str, Array]:
@@ -357,12 +359,20 @@ class StreamTracker:
         """Finish the frames that still wait when the stream ends, and return their outcomes."""
         return self._decided(self._check.finish()) + self._release()
 
-    def _touching(self, frame: Frame, threshold: float) -> float:
-        """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
-        view = frame.views[CONTACT_VIEW][0, 0]
-        step = max(1, round((view.size / _PIXELS) ** 0.5))
-        seen, empty, black = (image[::step, ::step].astype(np.float32) for image in (view, self._glass, self._dark))
-        return float((seen - black < (1 - threshold) * (empty - black)).mean())
+    def _measure_threshold(self, work: FrameOutcome) -> float:
+        """Return the threshold measured in a frame, NaN for none; it is measured at the first call.
+
+        Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do not
+        touch, so a threshold that nearly all pixels exceed is wrong.
+        """
+        if work.measured is None:
+            view = work.frame.views[CONTACT_VIEW][0, 0]
+            lost = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
+            step = max(1, round((view.size / _PIXELS) ** 0.5))
+            seen, empty, black = (image[::step, ::step].astype(np.float32) for image in (view, self._glass, self._dark))
+            physical = 0 < lost < 1 and (seen - black < (1 - lost) * (empty - black)).mean() < _EVERYTHING
+            work.measured = lost if physical else math.nan
+        return work.measured
 
     # Changes that are made before a frame begins.
 
@@ -440,9 +450,6 @@ class StreamTracker:
             points.pass_over(frame.number - self._latest - 1)
             tracked_points, self._latest = points.follow(work.images[TOPOGRAPHY_VIEW]), frame.number
         tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
-        # The first measured threshold applies at once, as there is no other yet.
-        if work.measured is not None and math.isnan(self.threshold):
-            self.threshold = work.measured
         if self._change is None:
             cause = PAGE if self._requested else self._reseeding.update(self._index, frame.number, tracked)
             if cause:
@@ -525,8 +532,7 @@ class StreamTracker:
         """Return the mask (H, W) of a contact in the topography view, and that of the region around it in which points
         are to be seeded.
         """
-        height, width = self._settings.region.shape
-        rows, columns = np.ogrid[:height, :width]
+        rows, columns = np.ogrid[tuple(map(slice, self._settings.region.shape))]
         cosine, sine = math.cos(sparse.angle), math.sin(sparse.angle)
         about_center = self._to_contact.copy()
         about_center[:, 2] -= sparse.center

@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -63,19 +64,15 @@ def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
         (stream.folder / "results").rename(stream.folder / f"of {name}")
 
 
-@pytest.fixture
-def slow_engine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the engine take 4 ms longer for each frame."""
-    step = StreamTracker.step
-    monkeypatch.setattr(StreamTracker, "step", lambda *frame: (time.sleep(0.004), step(*frame))[1])
-
-
-@pytest.mark.usefixtures("slow_engine")
 @pytest.mark.parametrize("policy", ["every", "latest"])
-def test_a_policy_loses_nothing_or_takes_the_newest_frame(stream: Stream, policy: str) -> None:
+def test_a_policy_loses_nothing_or_takes_the_newest_frame(
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, policy: str
+) -> None:
     """A paced source twice as fast as the engine: with `every` the source waits, and the waits are counted as overruns;
     with `latest` frames are dropped, and the newest one is computed.
     """
+    step = StreamTracker.step
+    monkeypatch.setattr(StreamTracker, "step", lambda *frame: (time.sleep(0.004), step(*frame))[1])
     ended = stream.run(*stream.recorded(60), "--rate", "500", "--queue", "4", "--policy", policy)
     summary, numbers = ended.summary, ended.results.records["frame"]
     assert summary["frames_in"] == summary["processed"] + summary["dropped"] == 60
@@ -85,6 +82,28 @@ def test_a_policy_loses_nothing_or_takes_the_newest_frame(stream: Stream, policy
     assert (summary["dropped"] > 0) == (summary["overruns"] == 0) == (policy == "latest")
     if policy == "every":  # waiting counts as latency, from the time at which a camera would have given the frame
         assert ended.results.records["latency"][-1] > 0.05
+
+
+def test_results_of_a_burst_do_not_wait_for_the_frame_after_it(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    compute = StreamTracker.compute_results
+    monkeypatch.setattr(StreamTracker, "compute_results", lambda *frames: (time.sleep(0.01), compute(*frames))[1])
+
+    def bursts() -> Iterator[Any]:
+        for count in (9, 10, 11, 12, 1):
+            yield from [frame()] * count
+            time.sleep(0.4)
+
+    ended = stream.run(*stream.frames(bursts()), "--policy", "every")
+    assert ended.results.records["latency"].max() < 0.3
+
+
+def test_frames_that_wait_for_a_threshold_are_not_behind(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
+    said, describe = list[str](), stream_module.Player._falls_behind
+    monkeypatch.setattr(stream_module.Player, "_falls_behind", lambda *given: said.append(describe(*given)) or said[-1])
+    pictures = ((time.sleep(0.12), frame())[1] for _ in range(20))
+    assert stream.run(*stream.frames(pictures), "--policy", "every").results.records["latency"].max() > 0.3
+    assert set(said) == {""}
 
 
 #: Numbers of spots and of spots that have moved elsewhere, for each frame of a stream with a new key frame (7 of 10

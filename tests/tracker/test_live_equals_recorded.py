@@ -92,21 +92,27 @@ def test_a_stream_equals_the_recording_bit_for_bit(
         assert np.isfinite(medians[:frames][calm]).sum() > 25
 
 
-def test_contact_before_the_first_threshold_counts(played: dict[str, Trial], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("count", "dark"), [(16, ()), (16, (8,)), (7, ())])
+def test_contact_before_the_first_threshold_counts(
+    played: dict[str, Trial], tmp_path: Path, count: int, dark: tuple[int, ...]
+) -> None:
     """A slow camera sees a contact grow by much between two frames in which the first threshold is searched for: the
-    frames between wait for it, so that areas and displacement count from the first frame with contact on.
+    frames between wait for it, so that areas and displacement count from the first frame with contact on. Where the
+    second is dark or does not come, the threshold is that of the last frame between.
     """
-    scene = write_scene_of_bundle(
-        tmp_path / "slow", replace(TRIALS["press"], n_frames=16, frame_rate=60.0, frames_before_trigger=3)
-    )
+    press = replace(TRIALS["press"], n_frames=16, frame_rate=60.0, frames_before_trigger=3)
+    scene = write_scene_of_bundle(tmp_path / "slow", press)
+    frames = np.load(scene.with_name("frames.npy"))
+    frames[list(dark)] = 8
+    np.save(scene.with_name("frames.npy"), frames[:count])
     edit(scene, ("threshold = 0.27\n", ""))
     recorded, records = fingerflow.process(scene), Trial(scene, played["press"].bundle).play()
     area = recorded["gross_contact_area"].values
-    np.testing.assert_allclose(records["gross_contact_area"], area, atol=0.02 * area.max())
+    np.testing.assert_allclose(records["gross_contact_area"], area, atol=0.02 * np.nanmax(area))
     for name in ("median_divergence", "global_displacement"):
         off = np.abs(records[name] - recorded[name].values) / records[f"{name}_std"]
-        assert np.isfinite(off).sum() > 6
-        assert np.nanmax(off) < 1
+        assert np.isfinite(off).sum() > 6 or count < 16
+        assert (off[np.isfinite(off)] < 1).all()
 
 
 @pytest.mark.parametrize("before", ["tracked", "lost"])
