@@ -33,9 +33,9 @@ CELLS = ("frame", "cell_row", "cell_column")
 
 _STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
 _FIELD_STD_EQUATION = (
-    "σ² = g Σ gᵀ + ⟨k² Δ_gauge²⟩ + late², Σ with the errors that points share as their windows overlap, Δ the change "
-    "by twice the gauge length, less its noise, k from 0.6 inside to 1.2 at the border of the points, ⟨⟩ the mean over "
-    "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
+    "σ² = g Σ gᵀ + k² ⟨Δ_gauge²⟩ + late², Σ with the errors that points share as their windows overlap, Δ the change "
+    "by twice the gauge length, less its noise, ⟨⟩ the mean over half of it, k² = 1/9 + (11 b)², b the gauge lengths "
+    "to the centroid of the fit, late what the field of a point that moved in changes by in the deviation of its entry"
 )
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
@@ -75,11 +75,14 @@ def _gross_area_std(semi_axes: Any, real_area: Any, gross_area: Any) -> Any:
 
     Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one;
     where nothing touches, the deviation is that of the real area.
-    The constants are measured on presses through real prints (docs/methods/contact.md).
+    Each piece of the border, as long as a ridge spacing of 0.45 mm, errs by 0.06 mm on its own, as it does at onsets
+    (`tracker.contact_border`). By 0.011 mm the border errs as a whole, measured on presses through real prints
+    (docs/methods/contact.md).
     """
     small = 0.3**2 / (1 + (pi / 1.5 * semi_axes.prod(-1)) ** 4)
+    around = pi * (2 * (semi_axes**2).sum(-1)) ** 0.5
     sparse = 4 * pi * gross_area * sparse_border_mm(real_area, gross_area) ** 2
-    deviation = ((0.013 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2 + small + sparse) ** 0.5
+    deviation = ((0.011**2 * around + 0.06**2 * 0.45) * around + small + sparse) ** 0.5
     for seen, value in ((real_area > 0, 0.25), (real_area == 0, 0.01)):
         deviation[(deviation != deviation) & seen] = value
     return deviation
@@ -159,8 +162,8 @@ CONTACT = (
         equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),
     Variable("gross_contact_area_std", FRAME, "mm2",
         "standard deviation of the gross contact area, by the ridge spacing",
-        equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
-        "ellipse, b = 0.013 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 "
+        equation="σ² = (b p)² + c² s p + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
+        "ellipse, b = 0.011 mm of the whole border, c = 0.06 mm of each piece s = 0.45 mm, a ridge spacing, d = 0.3 "
         "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse, 0.01 mm² where nothing touches; plus "
         "4 π gross faint_rim_mm², live 0.15 mm of it where ridges cover less than 17 % of the contact, 0 from 23 % on",
         formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area"),
@@ -373,8 +376,8 @@ STRAIN = (
     Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
         equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)² + U² q⁸), u the RMS displacement, of which 0.4 µm may "
         "be common to all points, q the window over the contact's width, with Δ to triangles where the border stopped; "
-        "elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what smoothing displacements again "
-        "over 2.5 windows takes from it"),
+        "elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what windows take if it is the share "
+        "that smoothing over 2.5 of them takes again"),
     Variable("strain_energy_between_points", FRAME, "mJ",
         "strain energy in triangles between points in contact, less that of noise",
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average"),
@@ -395,8 +398,7 @@ PRINTED_STRAIN = (
         shown_in=UM_PER_MM, unasked=False),
     Variable("printed_strain_energy", FRAME, "mJ",
         "strain energy of the triangles in contact since the first frame with contact",
-        equation="h Σ_triangles in contact w A", unasked=False),
-)
+        equation="h Σ_triangles in contact w A", unasked=False),)
 
 SLIP = (
     Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",

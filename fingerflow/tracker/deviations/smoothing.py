@@ -12,25 +12,28 @@ from fingerflow.kernels.arrays import squared_distances
 
 Array = NDArray[Any]
 
-_INSIDE, _SHARE = 0.6, 0.2
+_INSIDE = 1 / 3
+_BESIDE = 11.0  # per gauge length
+_SHARE = 0.2
 # Variances of divergence, curl, exx, eyy and exy by independent errors of the elements of a gradient.
 _ELEMENTS = np.array((2, 2, 1, 1, 1 / 2))
-_AT_BORDER = 0.15  # centroid offset, in gauge lengths, of fits on the straight border of a uniform cloud
 
 
 class SmoothingErrors:
     """Estimator of the mean square error of divergence and curl that smoothing over the gauge length causes.
 
-    The error is a share k of the difference D to a fit over twice the gauge length:
+    The error is a share k of the difference D to a fit over twice the gauge length, from two parts, whose squares add:
 
-    - inside a cloud of points k is 0.6. A fit keeps 384 J4(k)/k^4 of a wave's slope, k = pi gauge / wavelength, so that
-      the share is 1/3 for long waves, 0.42 for waves of two gauge lengths, 0.78 for waves of one;
-    - at the border of the cloud k is 1.2. A fit has the gradient at the centroid of its points, which there lies beside
-      the place by a length that grows with the gauge length: the error is proportional to it, or grows faster.
+    - a fit keeps 384 J4(k)/k^4 of a wave's slope, k = pi gauge / wavelength, so that the share is 1/3 for long waves,
+      which is taken, 0.42 for waves of two gauge lengths, 0.78 for waves of one;
+    - a fit has the gradient at the centroid of its points, which at the border of the cloud lies beside the place by a
+      length that grows with the gauge length, b = 0.15 of it on a straight border. The share is 1 for a field that is
+      linear across the border, and exp(b / l) for one that falls inwards as exp(-x / l): 11 b = 1.7 for a third of a
+      gauge length l.
 
-    Between both, k grows with the offset of the centroid. D is noisy, and smoothing may happen to vanish where it
-    changes its sign: the variance is the mean of k^2 (D^2 - s^2) over the points within half a gauge length, s^2 the
-    variance of the field by the errors of points.
+    D is noisy, and smoothing may happen to vanish where it changes its sign: the variance is k^2 times the mean of
+    D^2 - s^2 over the points within half a gauge length, s^2 the variance of the field by the errors of points, or
+    times that of the point where it is larger.
 
     Args:
         gauge_mm: gauge length.
@@ -38,7 +41,7 @@ class SmoothingErrors:
     """
 
     def __init__(self, gauge_mm: float, positions: Array) -> None:
-        self._gauge, self._neighbours = gauge_mm, _Neighbours.within(gauge_mm, positions)
+        self._places, self._neighbours = positions.T / gauge_mm, _Neighbours.within(gauge_mm, positions)
 
     def variance(self, reference: Array, displacement: Array, fields: FrameFields, wide: FrameFields) -> Array:
         """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
@@ -52,24 +55,20 @@ class SmoothingErrors:
         """
         fitted = np.isfinite(reference).all(1)
         valid = fitted & np.isfinite(displacement[..., 0] + displacement[..., 1])
-        centred = (reference - reference[fitted].mean(0)).T if fitted.any() else reference.T
-        mass, x, y = self._neighbours.sums(valid, *(np.where(valid, values, 0) for values in centred))
-        along, across = (sums / np.maximum(mass, 1e-12) - values for sums, values in zip((x, y), centred, strict=True))
-        offset = np.sqrt(along * along + across * across)  # of a point from the centroid of its fit
-        square = np.stack(
-            [
-                np.square(getattr(fields, name) - getattr(wide, name), dtype=np.float64)
-                - np.square(getattr(fields, f"{name}_std"), dtype=np.float64)
-                for name in ("divergence", "curl")
-            ],
-            axis=1,
+        mass, x, y = self._neighbours.sums(valid, *(np.where(valid, values, 0) for values in self._places))
+        # Of points from the centroids of their fits.
+        along, across = (sums / np.maximum(mass, 1e-12) - at for sums, at in zip((x, y), self._places, strict=True))
+        share = np.nan_to_num(_INSIDE**2 + _BESIDE**2 * (along * along + across * across))[:, None]
+        plain, noise, broad = (
+            np.stack([getattr(of, f"{name}{ending}") for name in ("divergence", "curl")], axis=1, dtype=np.float64)
+            for of, ending in ((fields, ""), (fields, "_std"), (wide, ""))
         )
-        share = _INSIDE * (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1))
-        square *= share**2
-        square[..., ~fitted] = np.nan
-        known = np.isfinite(square[:, 0])  # curl is known of the same points
-        *totals, weight = self._neighbours.sums(*(np.where(known, part, 0.0) for part in square.swapaxes(0, 1)), known)
-        return np.maximum(np.stack(totals, axis=1), 0) / np.maximum(weight, 1e-12)[:, None]
+        square = np.square(plain - broad) - np.square(noise)
+        known = fitted & np.isfinite(square[:, 0])  # curl is known of the same points
+        square = np.where(known[:, None], square, 0.0)
+        *totals, weight = self._neighbours.sums(*square.swapaxes(0, 1), known)
+        mean = np.stack(totals, axis=1) / np.maximum(weight, 1e-12)[:, None]
+        return share * np.maximum(np.maximum(mean, square), 0)
 
 
 class _Neighbours(NamedTuple):

@@ -32,8 +32,8 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 _INSIDE = 0.3
 # Windows, gauge length over which displacements are smoothed again, to see what a window has taken from the energy.
 _SMOOTHED = 2.5
-# Energy that windows have taken, as a share of what smoothing again takes: RMS over four slides of other seeds and ways
-# than those of the table in `docs/accuracy.md`.
+# Energy that windows have taken, over what they would have by the share that smoothing again takes: RMS over four
+# slides of other seeds and ways than those of the table in `docs/accuracy.md`.
 _TAKEN = 0.7
 
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
@@ -137,7 +137,7 @@ class StrainStage(Stage):
                 self.results[name][batch.indices] = computed.cpu().numpy()
         deviation = stated.energy_std.cpu().numpy()
         if not self._begins_free:
-            deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, touching))
+            deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, corrected.energy, touching))
         self._sum_up(batch, touching, corrected.density.cpu().numpy(), corrected.energy.cpu().numpy(), deviation)
 
     def _triangle_strain(
@@ -148,20 +148,21 @@ class StrainStage(Stage):
         young, poisson = self._elastic
         return triangle_strain(*given, measure=self._settings.strain, young_modulus_mpa=young, poisson_ratio=poisson)
 
-    def _lost_by_smoothing(self, moved: NDArray[np.float64], touching: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return by how much the strain energies (n,) of n frames fall if the displacements `moved` (n, P, 2) mm are
-        smoothed over `_SMOOTHED` windows.
+    def _lost_by_smoothing(self, moved: Array, energy: torch.Tensor, touching: NDArray[np.bool_]) -> NDArray[Any]:
+        """Return by how much smoothing has lowered the strain energies `energy` (n,) of n frames, free of that of image
+        noise, if it took as large a share as smoothing the displacements `moved` (n, P, 2) mm over `_SMOOTHED` windows
+        takes of what is left, two thirds at most.
 
-        A window averages the displacement over itself. At the edge of slip this takes energy away, about as much as
-        averaging what is left takes away again (`_TAKEN`). It counts where skin touches from the first frame on: the
-        energy of a growing contact is that of a field which is not averaged (`contact_energy`).
+        A window averages the displacement over itself, which takes energy away at the edge of slip (`_TAKEN`). It
+        counts where skin touches from the first frame on: the energy of a growing contact is that of a field which is
+        not averaged (`contact_energy`).
         """
         displacement = self.inputs.tensor(moved)
         smooth = local_gradients(self._from_start, displacement, gauge_length=_SMOOTHED * self._window_mm).value
         again = torch.where(smooth.isfinite(), smooth, displacement)
-        exact = np.zeros((*moved.shape, 2), np.float32)
-        first, second = (self._triangle_strain(field, exact, touching).energy for field in (displacement, again))
-        return (first - second).clamp_min(0).cpu().numpy()
+        left = self._triangle_strain(again, np.zeros((*moved.shape, 2), np.float32), touching).energy
+        lost = (energy - left).clamp_min(0) * energy / torch.maximum(left, energy / 3 + 1e-30)
+        return lost.cpu().numpy()
 
     def _sum_up(
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
