@@ -188,7 +188,8 @@ CONTACT = (
     Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
         equation="1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
     Variable("gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
-        equation="1 in cells of the gross contact", unasked=False),)
+        equation="1 in cells of the gross contact", unasked=False),
+)
 
 #: Real contact area computed as in figure S3 A of Willemet et al. (2021).
 PRINTED_CONTACT = (
@@ -294,7 +295,8 @@ DISPLACEMENT = (
         equation="that of the component along global_displacement_vector", shown_in=MICROMETRE),
     Variable("printed_global_displacement", FRAME, "mm",
         "length of the median displacement over the points, as the paper has it: points crowd where skin has texture",
-        equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),)
+        equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),
+)
 
 _ALONE = (
     "by the errors of the points, the difference to medians by twice the gauge length, a border 0.035 mm off, the "
@@ -398,7 +400,8 @@ PRINTED_STRAIN = (
         shown_in=UM_PER_MM, unasked=False),
     Variable("printed_strain_energy", FRAME, "mJ",
         "strain energy of the triangles in contact since the first frame with contact",
-        equation="h Σ_triangles in contact w A", unasked=False),)
+        equation="h Σ_triangles in contact w A", unasked=False),
+)
 
 SLIP = (
     Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",
