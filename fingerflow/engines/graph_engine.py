@@ -264,17 +264,17 @@ class GraphEngine:
         return np.isfinite(values[0]).all(1) if self._points else np.ones(values.shape[1], bool)
 
     def _in_pieces(self, name: str, of_points: dict[str, Array], shared: dict[str, Any]) -> dict[str, Array]:
-        """Run a graph of fixed size on a few points at a time, and return the concatenated outputs (1, n, ...).
+        """Run a graph on a few points, and return the outputs (1, n, ...): one of fixed size on `ROWS` at a time.
 
         `of_points` (1, n, ...) is cut to what the graph takes and padded; `shared` is the same in each call.
         """
         session, count = self._sessions[name], next(iter(of_points.values())).shape[1]
         if not self.fixed:
             return session({**shared, **of_points})
+        size = self._size(count, True) if self._any_number and name in ANY_NUMBER else ROWS
         pieces = []
-        for first in range(0, max(count, 1), ROWS):
-            size = self._size(min(count - first, ROWS), True) if self._any_number and name in ANY_NUMBER else ROWS
-            piece = {key: padded(array[:, first : first + ROWS], size) for key, array in of_points.items()}
+        for first in range(0, max(count, 1), size):
+            piece = {key: padded(array[:, first : first + size], size) for key, array in of_points.items()}
             pieces.append(session({**shared, **piece}))
         return {key: np.concatenate([piece[key] for piece in pieces], axis=1)[:, :count] for key in pieces[0]}
 

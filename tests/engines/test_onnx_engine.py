@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,6 +178,23 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
         same(ours.place[tracked], theirs.place[tracked], px)
         same(ours.speed[tracked], theirs.speed[tracked], px)
         assert np.isfinite(ours.place[given]).all()
+
+
+@pytest.mark.parametrize("name", ["track_few", "windows"])
+def test_a_few_points_keep_their_order(name: str) -> None:
+    """Graphs of `ROWS` points and those of any number give the outputs of all points, without those of the padding."""
+
+    class Session:
+        any_number = True
+
+        def __call__(self, inputs: dict[str, Array]) -> dict[str, Array]:
+            return {"same": inputs["points"]}
+
+    settings: Any = SimpleNamespace(cell_px=8)
+    engine = GraphEngine({"fit": Session(), name: Session()}, settings, POINTS)
+    for count in (1, 32, 33, 49, 100):
+        given = np.arange(2 * count, dtype=np.float32).reshape(1, count, 2)
+        np.testing.assert_array_equal(engine._in_pieces(name, {"points": given}, {})["same"], given)
 
 
 def keyed_and_tracked(engine: Any, points: Array) -> tuple[Any, Callable[[], Any]]:

@@ -134,14 +134,14 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert {entry.name for entry, *_ in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
 
-    def no_room(path: Path, write: Any) -> None:
+    def no_room(path: Path, text: str) -> None:
         def fails(part: Path) -> None:
             raise OSError(28, "No space left on device")
 
         write_atomically(path, fails)
 
     with monkeypatch.context() as patched:
-        patched.setattr("fingerflow.study.trial_files.write_atomically", no_room)
+        patched.setattr("fingerflow.study.trial_files.write_text", no_room)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert _run(study, scheduler, only="01_0_*") == {"01_0_1": MEASURED, "01_0_2": MEASURED}
 
