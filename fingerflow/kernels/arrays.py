@@ -150,7 +150,7 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def is_finite(points: NDArray[Any]) -> NDArray[Any]:
-    """Return a mask (...) of the points (..., 2) with known positions: both components are finite."""
+    """Return a mask (...) of the points (..., 2) whose two components are finite."""
     return np.isfinite(points[..., 0] + points[..., 1])
 
 

@@ -64,7 +64,7 @@ class Channel(Generic[T]):
         return left
 
     def get(self, wait: bool = True) -> T | None:
-        """Return the next item; None if the queue is empty and closed, or stays empty for `wait` s (True: no limit)."""
+        """Return the next item; None if the queue is empty and closed or, without `wait`, if it is empty."""
         try:
             filled = self._filled.get(wait)
         except Empty:

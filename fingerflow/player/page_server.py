@@ -67,7 +67,7 @@ def serve_page(
     class Handler(_Handler):
         def do_GET(self) -> None:
             if not self.is_refused():
-                body = (200, "application/octet-stream", live.packed(facts())) if (self.path == "/live") else None
+                body = (200, "application/octet-stream", live.packed(facts())) if self.path == "/live" else None
                 self.answer(*(body or fixed.get(self.path, absent)))
 
         def do_POST(self) -> None:

@@ -474,7 +474,7 @@ class Player:
                 try:
                     following = self._add_frames(frames)
                     results = None if item.points is None else self._tracker.compute_results(frames)
-                except Exception:
+                except Exception:  # an engine may raise anything; the frames before the one at fault are good
                     while self._outcomes.get(False) is not None:  # later frames, whose results would lack these
                         pass
                     for frame in frames:  # one at a time, to keep those before the fault
@@ -485,7 +485,7 @@ class Player:
             item = following
 
     def _least(self) -> int:
-        """Return the least number of tracked frames to measure: more than one where others wait to be tracked."""
+        """Return from how many tracked frames on they are measured: `_AT_ONCE` while others wait to be tracked, else 1."""
         return _AT_ONCE if self._alone and self._frames and not self._failure else 1
 
     def _add_frames(self, frames: list[FrameOutcome]) -> Event | FrameOutcome | None:

@@ -356,7 +356,7 @@ class StreamTracker:
             yield from check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
-        """Finish the frames that still wait when the stream ends, and return their outcomes."""
+        """Finish the frames that wait for later frames or for a threshold as the stream ends; return their outcomes."""
         return self._decided(self._check.finish()) + self._release()
 
     def _measure_threshold(self, work: FrameOutcome) -> float:
