@@ -485,7 +485,7 @@ class Player:
             item = following
 
     def _least(self) -> int:
-        """Return from how many tracked frames on they are measured: `_AT_ONCE` while others wait to be tracked, else 1."""
+        """Return how many tracked frames are measured at least: `_AT_ONCE` while others wait for tracking, else 1."""
         return _AT_ONCE if self._alone and self._frames and not self._failure else 1
 
     def _add_frames(self, frames: list[FrameOutcome]) -> Event | FrameOutcome | None:
