@@ -15,7 +15,7 @@ from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import FIGURES, supplement_sheet
-from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
+from fingerflow.report.trial_metrics import AMPLITUDE, draw_dots, finish_with_side_legend
 from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.trial_columns import BY_SHARE, NUMBERS, UNLOADING
 from fingerflow.study.statistics import Sample
@@ -111,19 +111,18 @@ def draw_friction_law(axes: Axes, slid: Any) -> Axes:
         slid[name] / np.exp(np.log(slid[name]).groupby(people).transform("mean"))
         for name in ("friction_force", "friction")
     )
-    names = list(dict.fromkeys(people))
-    for name, style in zip(names, axes_style.dot_styles(len(names)), strict=True):
-        axes.loglog(force[people == name], friction[people == name], **style)
+    draw_dots(axes, force, friction, people)
+    axes.set(xscale="log", yscale="log")
     law = power_law(force, friction, people.to_numpy())
     ends = np.array([force.min(), force.max()])
-    axes.loglog(ends, law.factor * ends**law.exponent, color=axes_style.RED)
+    axes.plot(ends, law.factor * ends**law.exponent, color=axes_style.RED)
     axes.set(xlabel="normal force over own mean", ylabel="friction coefficient over own mean")
     axes.set_title(f"n - 1 = {format_uncertainty(law.exponent, law.exponent_std)}")
     return axes_style.finished(
         axes,
         "Friction coefficient where no skin sticks against the median normal force there, one dot a trial, one marker "
         "a participant, with k N^(n - 1) (Adams et al. 2013): n - 1 ± one standard deviation, leaving out a "
-        f"participant at a time. n = {len(slid)} trials of {len(names)} participants.",
+        f"participant at a time. n = {len(slid)} trials of {people.nunique()} participants.",
     )
 
 
