@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.models.growth_laws import power_law, relaxation
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS, UNLOADING
@@ -259,7 +260,7 @@ class _Trial:
             moved = np.asarray(self._result["displacement"].values, dtype=np.float64)
             inside = self._result["in_contact"].values[loss] > 0
             since = np.hypot(*np.moveaxis(moved[: loss + 1, inside] - moved[begin, inside], -1, 0))
-            median = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in since])
+            median = nanmedian(since)
             speed = rate(median, self._time[: loss + 1], self._window)[-1]
             numbers |= {"full_slip_displacement": median[-1], "full_slip_displacement_std": abs(speed) * deviation}
         travel, force = self._values("actuator_position"), self._values("tangential_force")
