@@ -103,8 +103,6 @@ def calibrate(
     from fingerflow.schema.rounding import format_uncertainty
     from fingerflow.schema.views import View
 
-    if topography is not None and target is None:
-        raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
     ranges = {"contact": contact, "topography": topography}
     views = {name: View(pixels[:2], pixels[2:]) for name, pixels in ranges.items() if pixels is not None}
     calibration = calibrate_files(

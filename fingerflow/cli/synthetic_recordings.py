@@ -24,12 +24,12 @@ def demo(
     from fingerflow.report import write_report
     from fingerflow.results.result import save_result
     from fingerflow.schema.scene import load_scene
-    from fingerflow.synthetic import rebuild_scene
+    from fingerflow.synthetic import Press, rebuild_scene, write_recording
     from fingerflow.synthetic.comparison_with_truth import as_text, compare
 
     if folder.exists():
         _remove_demo(folder)
-    _simulate("press", folder)
+    write_recording(folder, Press())
     scene = load_scene(folder / "scene.toml")
     result = process_scene(scene, None, quiet=as_json)
     save_result(result, folder / "result.h5")
@@ -65,7 +65,30 @@ def simulate(
     friction: Annotated[float | None, typer.Option(help="Coefficient of a chain-press. Default: 0.2.")] = None,
 ) -> None:
     """Write a synthetic recording with known truth, and a scene file for it."""
-    _simulate(kind, folder, skin, picture, dpi, friction)
+    from dataclasses import replace
+
+    from fingerflow import synthetic
+
+    kinds: dict[str, type[synthetic.SyntheticScene]] = {"press": synthetic.Press, "chain-press": synthetic.ChainPress}
+    kinds |= {"slide": synthetic.Slide, "partial-slip": synthetic.PartialSlip}
+    if kind not in kinds:
+        raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
+    if skin is not None and picture is not None:
+        raise FingerflowError("--skin and --print are two skins; give one of them")
+    if dpi is not None and picture is None:
+        raise FingerflowError("--dpi is the resolution of a picture; give the picture by --print")
+    if picture is not None:
+        scene = synthetic.scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
+    else:
+        texture: dict[str, Any] = {} if skin is None else {"texture": synthetic.FingerprintTexture(pattern=skin)}
+        scene = kinds[kind](**texture)
+    if friction is not None:
+        if not isinstance(scene, synthetic.ChainPress):
+            raise FingerflowError(f"--friction {friction:g} is of a chain-press; a {kind} has none that moves its skin")
+        if not 0 <= friction < float("inf"):
+            raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
+        scene = replace(scene, friction=friction)
+    synthetic.write_recording(folder, scene)
     typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
 
 
@@ -78,39 +101,3 @@ def _remove_demo(folder: Path) -> None:
         problem = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"
         raise FingerflowError(f"{folder} exists and {problem}; give another folder, or remove it")
     shutil.rmtree(folder)
-
-
-def _simulate(
-    scene_kind: str,
-    folder: Path,
-    skin: str | None = None,
-    picture: Path | None = None,
-    dpi: float | None = None,
-    friction: float | None = None,
-) -> None:
-    from dataclasses import replace
-
-    from fingerflow import synthetic
-
-    kinds: dict[str, type[synthetic.SyntheticScene]] = {"press": synthetic.Press, "chain-press": synthetic.ChainPress}
-    kinds |= {"slide": synthetic.Slide, "partial-slip": synthetic.PartialSlip}
-    if scene_kind not in kinds:
-        raise FingerflowError(f"{scene_kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
-    if skin is not None and picture is not None:
-        raise FingerflowError("--skin and --print are two skins; give one of them")
-    if dpi is not None and picture is None:
-        raise FingerflowError("--dpi is the resolution of a picture; give the picture by --print")
-    if picture is not None:
-        scene = synthetic.scene_of_print(kinds[scene_kind], picture, **({} if dpi is None else {"dpi": dpi}))
-    else:
-        texture: dict[str, Any] = {} if skin is None else {"texture": synthetic.FingerprintTexture(pattern=skin)}
-        scene = kinds[scene_kind](**texture)
-    if friction is not None:
-        if not isinstance(scene, synthetic.ChainPress):
-            raise FingerflowError(
-                f"--friction {friction:g} is of a chain-press; a {scene_kind} has none that moves its skin"
-            )
-        if not 0 <= friction < float("inf"):
-            raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
-        scene = replace(scene, friction=friction)
-    synthetic.write_recording(folder, scene)

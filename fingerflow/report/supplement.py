@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
@@ -139,17 +140,12 @@ def _individual_performance(trials: Trials, design: str) -> Sheet:
 def _draw_curves(axes: Axes, parts: dict[str, Trials], guess: float | None) -> None:
     curves = {}
     for name, trials in parts.items():
-        amplitudes, column = np.unique(trials.condition.astype(np.float64), return_inverse=True)
-        who, person = np.unique(trials.participant, return_inverse=True)
-        block = person * amplitudes.size + column
-        answers, counts = (
-            np.bincount(block, weights, who.size * amplitudes.size).reshape(who.size, amplitudes.size)
-            for weights in (trials.answer, None)
-        )
-        person, column = np.nonzero(counts)
-        blocks = amplitudes[column], answers[person, column], counts[person, column]
-        fit = fit_psychometric(*blocks, guess=guess, participants=who[person])
-        curves[name] = (amplitudes, answers.sum(0), counts.sum(0), fit)
+        stimulus = trials.condition.astype(np.float64)
+        table = pd.DataFrame({"who": trials.participant, "stimulus": stimulus, "answer": trials.answer})
+        blocks = table.groupby(["who", "stimulus"])["answer"].agg(["sum", "count"]).reset_index()
+        fit = fit_psychometric(blocks["stimulus"], blocks["sum"], blocks["count"], blocks["who"], guess)
+        whole = blocks.groupby("stimulus")[["sum", "count"]].sum()
+        curves[name] = (whole.index, whole["sum"], whole["count"], fit)
     draw_psychometric(axes, curves, AMPLITUDE)
 
 

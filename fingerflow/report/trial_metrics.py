@@ -6,6 +6,7 @@ An answer is correct if the vibrating comparison was felt as more slippery than 
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.transforms import offset_copy
 from numpy.typing import NDArray
@@ -127,8 +128,8 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     """
     values = _shown(trials, metric)
     if normalised:
-        _, own, who = _own_medians(values, trials.participant)
-        values = values / np.where(own > 0, own, np.nan)[who]
+        own = pd.Series(values).groupby(trials.participant).transform("median").to_numpy()
+        values = values / np.where(own > 0, own, np.nan)
     conditions, _ = _conditions(trials)
     medians, _, condition, who = participant_dots(trials, values)
     for index in np.unique(condition):
@@ -212,6 +213,14 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
     )
 
 
+def draw_dots(axes: Axes, x: Values, y: Values, participants: NDArray[Any]) -> None:
+    """Draw one dot a trial, with one colour and marker a participant; arrays (T,)."""
+    names = np.unique(participants)
+    for name, style in zip(names, dot_styles(names.size), strict=True):
+        own = participants == name
+        axes.plot(x[own], y[own], markersize=2.5, markeredgewidth=0, alpha=0.6, **style)
+
+
 def participant_lines(x: Values, y: Values, participants: NDArray[Any]) -> Values:
     """Fit a line of y (T,) over x (T,) of each of P participants, by the method of Theil & Sen.
 
@@ -241,20 +250,17 @@ def participant_dots(trials: Trials, values: Values) -> tuple[Values, Values, ND
 
     Pairs without a known value are left out.
     """
-    conditions, level = np.unique(trials.condition, return_inverse=True)
-    dots = []
-    for participant in np.unique(trials.participant):
-        for index in range(len(conditions)):
-            group = (level == index) & (trials.participant == participant) & np.isfinite(values)
-            if group.any():
-                dots.append((float(np.median(values[group])), float(trials.answer[group].mean()), index, participant))
-    medians, shares, condition, who = zip(*dots, strict=True) if dots else ((), (), (), ())
-    return np.array(medians), np.array(shares), np.array(condition, dtype=np.intp), np.array(who)
+    _, level = _conditions(trials)
+    table = pd.DataFrame({"who": trials.participant, "level": level, "median": values, "share": trials.answer})
+    pairs = table[np.isfinite(values)].groupby(["who", "level"], as_index=False)
+    dots = pairs.agg({"median": "median", "share": "mean"})
+    return dots["median"].to_numpy(), dots["share"].to_numpy(), dots["level"].to_numpy(), dots["who"].to_numpy()
 
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
     """Return the participants' names and the median of a metric for each, in its axis unit; NaN where unknown."""
-    return _own_medians(_shown(trials, metric), trials.participant)[:2]
+    medians = pd.Series(_shown(trials, metric)).groupby(trials.participant).median()
+    return medians.index.to_numpy(), medians.to_numpy()
 
 
 def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
@@ -272,10 +278,7 @@ def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
 def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
     """Draw one metric against another, coloured by participant, and return both (T,) in the units of the axes."""
     x, y = _shown(trials, first), _shown(trials, second)
-    names = np.unique(trials.participant)
-    for name, style in zip(names, dot_styles(names.size), strict=True):
-        trials_of_one = trials.participant == name
-        axes.plot(x[trials_of_one], y[trials_of_one], markersize=2.5, markeredgewidth=0, alpha=0.6, **style)
+    draw_dots(axes, x, y, trials.participant)
     return x, y
 
 
@@ -289,15 +292,6 @@ def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
     """Return the names of the conditions in ascending order, and the index of its condition for each trial."""
     values, index = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], index
-
-
-def _own_medians(values: Values, participant: NDArray[Any]) -> tuple[NDArray[Any], Values, NDArray[np.intp]]:
-    """Return the names (P,) of the participants, the median (P,) of each over their trials, NaN where unknown, and the
-    participant (T,) of each trial as an index into both.
-    """
-    names, who = np.unique(participant, return_inverse=True)
-    groups = (values[(who == one) & np.isfinite(values)] for one in range(names.size))
-    return names, np.array([np.median(group) if group.size else np.nan for group in groups]), who
 
 
 def _anova_text(test: Anova) -> str:

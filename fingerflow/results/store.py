@@ -15,7 +15,7 @@ from fingerflow.results.free_space import check_disk, check_memory, check_write
 from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import TIME
 
-_GROWING = ("point",)  # dimensions that may grow after a variable is created
+_GROWING = "point"  # dimension that may grow after a variable is created
 _CHUNK_BYTES = 1 << 20  # bytes, chunk cache of HDF5 for one variable
 # Largest factor by which a frame of a growing variable may grow: three times the points, in chunks that are not full
 # (`pipeline.stages.tracking.tracking_stage`). If a row of chunks were larger than the cache, it would be written and
@@ -70,14 +70,14 @@ class Store(ABC):
         """
         self.create(name, attributes, **sizes)[:] = values
 
-    def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
-        """Enlarge the dimension `dim` of all variables to `size`; new elements take the value that `fills` gives for
-        the variable, else NaN, or 0 for integers.
+    def grow(self, points: int, fills: Mapping[str, float]) -> None:
+        """Enlarge the dimension `point` of all variables to a number of `points`; new elements take the value that
+        `fills` gives for the variable, else NaN, or 0 for integers.
         """
-        before, self._sizes[dim] = self._sizes[dim], size
+        before, self._sizes[_GROWING] = self._sizes[_GROWING], points
         for name in list(self._values):
-            if dim in self._variables[name].dims:
-                self._lengthen(name, self._variables[name].dims.index(dim), before, size, fills.get(name))
+            if _GROWING in self._variables[name].dims:
+                self._lengthen(name, self._variables[name].dims.index(_GROWING), before, points, fills.get(name))
 
     def __getitem__(self, name: str) -> Values:
         return self._values[name]
@@ -170,15 +170,14 @@ class FileStore(Store):
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
         fill, dtype = _fill(variable)
         layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(dtype).kind == "f" else {}
-        if any(dim in _GROWING for dim in variable.dims):
-            sides = zip(variable.dims, shape, strict=True)
-            layout["maxshape"] = tuple(None if dim in _GROWING else size for dim, size in sides)
+        sides = list(zip(variable.dims, shape, strict=True))
+        if _GROWING in variable.dims:
+            layout["maxshape"] = tuple(None if dim == _GROWING else size for dim, size in sides)
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(dtype).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             held = frame_bytes * (_MOST_GROWTH if "maxshape" in layout else 1)
             frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // held), _CHUNK_FRAMES)
-            sides = zip(variable.dims[1:], shape[1:], strict=True)
-            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
+            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim == _GROWING else n for dim, n in sides[1:]))
             if np.dtype(dtype).kind != "f":
                 layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
         stored = self._add(variable.name, variable.dims, shape=shape, dtype=dtype, **layout)

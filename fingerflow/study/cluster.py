@@ -17,7 +17,6 @@ from fingerflow.kernels.kernel import cores
 
 _IN_FLIGHT = 3  # tasks per worker submitted at a time: one runs, the others are queued
 _RENEWED_AFTER = 200  # tasks per worker after which all workers are replaced, which releases leaked memory
-_ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 _CONNECT = "20s"  # time limit for reaching a scheduler
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
@@ -86,18 +85,16 @@ def _run_tasks(
 ) -> Iterator[Result]:
     from distributed import as_completed
 
-    names: dict[str, str] = {}
-
-    def capacity() -> int:
-        """Return the number of tasks to keep submitted: a multiple of the threads of workers, which may come and go."""
-        return max(2, _IN_FLIGHT * sum(client.nthreads().values()))
-
-    def submit(name: str, task: Task) -> Any:
+    def submit(running: int) -> list[Any]:
+        """Submit tasks until a multiple of the threads of workers, which may come and go, is under way."""
+        more = max(2, _IN_FLIGHT * sum(client.nthreads().values())) - running
         # Give all tasks one group name, since a scheduler never discards the statistics of a group.
-        future = client.submit(function, task, key=f"trial-{os.getpid()}-{name}", pure=False)
-        names[future.key] = name
-        return future
+        return [
+            client.submit(function, task, key=f"{prefix}{name}", pure=False)
+            for name, task in islice(tasks, max(0, more))
+        ]
 
+    prefix = f"trial-{os.getpid()}-"
     try:
         with _interrupt_on_sigterm():
             if not client.nthreads():
@@ -106,17 +103,15 @@ def _run_tasks(
                     f"warning: no worker is at {address}, so nothing is processed; waiting until one comes",
                     file=sys.stderr,
                 )
-            waiting = as_completed([submit(name, task) for name, task in islice(tasks, capacity())])
+            waiting = as_completed(submit(0))
             for future in waiting:
                 if future.status == "finished":
                     yield future.result()
                 elif future.status == "error":
-                    yield result_of_error(names[future.key], future.exception())
+                    yield result_of_error(future.key.removeprefix(prefix), future.exception())
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
-                del names[future.key]
-                for name, task in islice(tasks, max(0, capacity() - len(names))):
-                    waiting.add(submit(name, task))
+                waiting.update(submit(waiting.count()))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
     except (Interrupted, FingerflowError):
@@ -169,31 +164,29 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
         environment |= {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
         if sys.platform == "linux":  # elsewhere a process that has loaded torch may not fork
             environment["distributed.worker.multiprocessing-method"] = "forkserver"
+    deployment = _deployment(scheduler) if scheduler is not None and "://" not in scheduler else None
     with dask.config.set(environment):
         cluster: Any = None
         try:
-            if scheduler and scheduler.startswith(_ADDRESS):
-                client = Client(scheduler, timeout=_CONNECT)
-            else:
-                if scheduler is None:
-                    # Modules are loaded in the process from which workers are forked, not again in each worker.
-                    context = get_mp_context()
-                    if context.get_start_method() == "forkserver":
-                        context.set_forkserver_preload(["fingerflow.study.preload"])
-                    # A scheduler executes what it receives. Without a certificate, which only this process and its
-                    # workers have, every user of this computer could run commands as the user who started the study.
-                    cluster = LocalCluster(
-                        host="127.0.0.1", protocol="tls://", security=Security.temporary(),
-                        n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
-                        # Let the system choose the port: with a fixed one Dask would warn if another study used it.
-                        dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                    )  # fmt: skip
-                else:
-                    cluster = _deployment(scheduler)()
-                    cluster.scale(workers)
-                client = Client(cluster, security=getattr(cluster, "security", None))
-        except FingerflowError:
-            raise
+            if scheduler is None:
+                # Modules are loaded in the process from which workers are forked, not again in each worker.
+                context = get_mp_context()
+                if context.get_start_method() == "forkserver":
+                    context.set_forkserver_preload(["fingerflow.study.preload"])
+                # A scheduler executes what it receives. Without a certificate, which only this process and its
+                # workers have, every user of this computer could run commands as the user who started the study.
+                cluster = LocalCluster(
+                    host="127.0.0.1", protocol="tls://", security=Security.temporary(),
+                    n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
+                    # Let the system choose the port: with a fixed one Dask would warn if another study used it.
+                    dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                )  # fmt: skip
+            elif deployment is not None:
+                cluster = deployment()
+                cluster.scale(workers)
+            client = Client(
+                scheduler if cluster is None else cluster, timeout=_CONNECT, security=getattr(cluster, "security", None)
+            )
         except Exception as error:  # a deployment may raise anything
             raise FingerflowError(
                 f"no cluster can be had{f' from {scheduler}' if scheduler else ''} ({error or type(error).__name__}); "

@@ -15,13 +15,13 @@ from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import FIGURES, supplement_sheet
-from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
+from fingerflow.report.trial_metrics import AMPLITUDE, draw_dots, finish_with_side_legend
 from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.trial_columns import BY_SHARE, NUMBERS, UNLOADING
 from fingerflow.study.statistics import Sample
 
-# Letters of the panels that need answers, by figure; None if the whole figure does. A study without answers omits them.
-_OF_ANSWERS: dict[str, str | None] = {"S5": "EFGI", "S7": "CDE", "S8": "HI", "S9": "E", "S11": None, "S12": None}
+# Letters of the panels that need answers, by figure. A study without answers omits them.
+_OF_ANSWERS = {"S5": "EFGI", "S7": "CDE", "S8": "HI", "S9": "E", "S11": "ABC", "S12": "ABC"}
 # Panels that the paper draws against force, with the metric of the averaged curve, by figure.
 _CURVES = {
     "S1": (("C", "gross_contact_area"), ("E", "real_contact_area")),
@@ -55,51 +55,45 @@ def write_figures(
     """
     on_page = [suffix for suffix in files.formats if suffix in ("svg", "png")] or ["png"]
     files = replace(files, formats=tuple(dict.fromkeys((*files.formats, on_page[0]))))
-    written: list[StudyFigure] = []
-
-    def write(sheet: Sheet, width_mm: float, left_out: list[str]) -> None:
-        figure = sheet.figure(width_mm)
-        files.save(figure, folder, sheet.name)
-        written.append((sheet.name, f"{sheet.name}.{on_page[0]}", caption_of(figure), left_out))
-
-    for name in FIGURES:
-        trials = sample.trials
-        if name == "S1":
-            table = frame.set_index(["participant", "trial", "condition"])
-            keys = list(zip(trials.participant, trials.trial, trials.condition, strict=True))
-            at_3n = {
-                area: table.loc[keys, f"{area}_at_3n"].to_numpy(float) for area in _AREAS if f"{area}_at_3n" in table
-            }
-            trials = replace(trials, metrics={**trials.metrics, **at_3n})
-        sheet = supplement_sheet(name, trials, design)
-        of_answers = _OF_ANSWERS.get(name, "")
-        dropped = [] if sample.answered or of_answers == "" else [of_answers or "all"]
-        panels = [
-            replace(panel, letter=f"{panel.letter}, at 3 N") if name == "S1" else panel
-            for panel in sheet.panels
-            if sample.answered or (of_answers is not None and panel.letter not in of_answers)
-        ]
-        for letter, metric in _CURVES.get(name, ()):
-            if (curves["metric"] == metric).any():
-                panels.append(SheetPanel.single(letter, draw_curves, curves, metric))
-        drawn = {panel.letter[0] for panel in panels}
-        missing = [(letter, need) for letter, need in sheet.left_out if letter not in drawn]
-        left_out = Sheet(name, (), tuple(missing)).missing()
-        left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
-        if not panels:
-            written.append((name, "", "", left_out))
-            continue
-        ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
-        write(Sheet(name, ordered, title=sheet.title), files.width_mm or axes_style.TWO_COLUMNS_MM, left_out)
-    singles: dict[str, tuple[Any, ...]] = {
-        metric: (draw_curves, curves, metric) for metric in BY_SHARE if (curves["metric"] == metric).any()
-    }
+    sheets = [_sheet(name, sample, curves, design) for name in FIGURES]
+    for metric in BY_SHARE:
+        if (curves["metric"] == metric).any():
+            sheets.append(Sheet(metric, (SheetPanel.single("", draw_curves, curves, metric),)))
     slid = frame[(frame["friction"] > 0) & (frame["friction_force"] > 0)]
     if len(slid):
-        singles["friction"] = draw_friction_law, slid
-    for name, drawn_by in singles.items():
-        write(Sheet(name, (SheetPanel.single("", *drawn_by),)), files.width_mm or axes_style.ONE_COLUMN_MM, [])
+        sheets.append(Sheet("friction", (SheetPanel.single("", draw_friction_law, slid),)))
+    written: list[StudyFigure] = []
+    for sheet in sheets:
+        image = caption = ""
+        if sheet.panels:
+            default_mm = axes_style.TWO_COLUMNS_MM if sheet.name in FIGURES else axes_style.ONE_COLUMN_MM
+            figure = sheet.figure(files.width_mm or default_mm)
+            files.save(figure, folder, sheet.name)
+            image, caption = f"{sheet.name}.{on_page[0]}", caption_of(figure)
+        written.append((sheet.name, image, caption, sheet.missing()))
     return written
+
+
+def _sheet(name: str, sample: Sample, curves: Any, design: str) -> Sheet:
+    """Return a figure of the supplement with the panels for which the study has values, answers or averaged curves."""
+    trials = sample.trials
+    if name == "S1":
+        at_3n = {area: f"{area}_at_3n" for area in _AREAS if f"{area}_at_3n" in sample.table}
+        areas = {area: sample.table[column].to_numpy(np.float64) for area, column in at_3n.items()}
+        trials = replace(trials, metrics={**trials.metrics, **areas})
+    sheet = supplement_sheet(name, trials, design)
+    of_answers = "" if sample.answered else _OF_ANSWERS.get(name, "")
+    panels = [panel for panel in sheet.panels if panel.letter[0] not in of_answers]
+    if name == "S1":
+        panels = [replace(panel, letter=f"{panel.letter}, at 3 N") for panel in panels]
+    for letter, metric in _CURVES.get(name, ()):
+        if (curves["metric"] == metric).any():
+            panels.append(SheetPanel.single(letter, draw_curves, curves, metric))
+    drawn = {panel.letter[0] for panel in panels}
+    left_out = [(letter, need) for letter, need in sheet.left_out if letter not in drawn]
+    left_out += [(letter, "answers") for letter in of_answers]
+    panels.sort(key=lambda panel: panel.letter)
+    return replace(sheet, panels=tuple(panels), left_out=tuple(left_out))
 
 
 def draw_friction_law(axes: Axes, slid: Any) -> Axes:
@@ -111,19 +105,18 @@ def draw_friction_law(axes: Axes, slid: Any) -> Axes:
         slid[name] / np.exp(np.log(slid[name]).groupby(people).transform("mean"))
         for name in ("friction_force", "friction")
     )
-    names = list(dict.fromkeys(people))
-    for name, style in zip(names, axes_style.dot_styles(len(names)), strict=True):
-        axes.loglog(force[people == name], friction[people == name], **style)
+    draw_dots(axes, force, friction, people)
+    axes.set(xscale="log", yscale="log")
     law = power_law(force, friction, people.to_numpy())
     ends = np.array([force.min(), force.max()])
-    axes.loglog(ends, law.factor * ends**law.exponent, color=axes_style.RED)
+    axes.plot(ends, law.factor * ends**law.exponent, color=axes_style.RED)
     axes.set(xlabel="normal force over own mean", ylabel="friction coefficient over own mean")
     axes.set_title(f"n - 1 = {format_uncertainty(law.exponent, law.exponent_std)}")
     return axes_style.finished(
         axes,
         "Friction coefficient where no skin sticks against the median normal force there, one dot a trial, one marker "
         "a participant, with k N^(n - 1) (Adams et al. 2013): n - 1 ± one standard deviation, leaving out a "
-        f"participant at a time. n = {len(slid)} trials of {len(names)} participants.",
+        f"participant at a time. n = {len(slid)} trials of {people.nunique()} participants.",
     )
 
 

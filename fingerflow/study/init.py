@@ -1,12 +1,12 @@
 """Command `fingerflow study init`: writes a manifest from the files found in a folder."""
 
-import csv
-import io
 import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import READER_OF, holds_forces
@@ -71,7 +71,7 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
         and not any(part.startswith(".") or part in _WRITTEN for part in file.relative_to(folder).parts)
     ]
     scenes = {file: scene for file in files if file.suffix == ".toml" and (scene := _read_scene(file))}
-    rows, shared = _scene_rows(folder, scenes) if scenes else _recording_rows(folder, files)
+    rows, shared = _scene_rows(folder, scenes) if scenes else (_recording_rows(folder, files), {})
     answered: list[dict[str, str]] = []
     matched = ""
     if answers is not None:
@@ -84,11 +84,7 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *columns)))
     if not any(FORCES in row for row in rows):
         names.remove(FORCES)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: quoted_cell(cell) for name, cell in row.items()} for row in rows)
-    write_text(table, text.getvalue())
+    write_text(table, pd.DataFrame(rows, columns=names).map(quoted_cell).to_csv(index=False, lineterminator="\n"))
     write_text(manifest, _manifest_text(shared))
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
     lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
@@ -126,7 +122,7 @@ def _scene_rows(folder: Path, scenes: Mapping[Path, Any]) -> tuple[list[dict[str
     return rows, nested(common)
 
 
-def _recording_rows(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
+def _recording_rows(folder: Path, files: list[Path]) -> list[dict[str, str]]:
     recordings = [
         file
         for file in files
@@ -152,7 +148,7 @@ def _recording_rows(folder: Path, files: list[Path]) -> tuple[list[dict[str, str
         if len(forces) == 1:
             row[FORCES] = relative(forces[0], folder)
         rows.append(row)
-    return rows, {}
+    return rows
 
 
 def _guessed(path: Path) -> dict[str, str]:

@@ -5,16 +5,16 @@ import os
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
-from fingerflow.schema.keys import SceneTable
+from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene import Scene, parse_toml, scene_from
-from fingerflow.schema.scene_tables import SCENE
+from fingerflow.schema.scene_tables import find_entry
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.trial_columns import OF_RESULTS
 from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
@@ -96,11 +96,14 @@ def load_manifest(path: str | Path) -> Manifest:
     if path.is_dir():
         path = path / "study.toml"
     written = parse_toml(read_text(path, "`fingerflow study init FOLDER` writes study.toml"), path)
-    _refuse_unknown(path, written, ("study", "scene"))
     study, shared = written.get("study", {}), written.get("scene", {})
     if not isinstance(study, dict) or not isinstance(shared, dict):
         raise FingerflowError(f"{path}: study and scene are tables, [study] and [scene.views.contact]")
-    _refuse_unknown(path, study, _STUDY_KEYS, "study.")
+    for table, names, known in (("", written, ("study", "scene")), ("study.", study, _STUDY_KEYS)):
+        for name in names:
+            if name not in known:
+                hint = f"{did_you_mean(name, known)}known here: {', '.join(known)}"
+                raise FingerflowError(f"{path}: {table}{name} is not a key; {hint}")
     for key, value in study.items():
         if not isinstance(value, str) or not value:
             raise FingerflowError(f"{path}: study.{key} is {value!r}; give a path in quotes")
@@ -109,9 +112,8 @@ def load_manifest(path: str | Path) -> Manifest:
         raise FingerflowError(f"{path}: study.design is {design!r}; give {' or '.join(map(repr, GUESSES))}")
     if "trials" not in study:
         raise FingerflowError(f"{path}: [study] needs trials, a CSV file; `fingerflow study init FOLDER` writes one")
-    table = path.parent / study["trials"]
-    rows = read_rows(table)
-    labels = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
+    trials_path = path.parent / study["trials"]
+    rows = read_rows(trials_path)
     matched = ""
     if "answers" in study:
         answer_rows, matched = matching(rows, path.parent / study["answers"])
@@ -119,7 +121,7 @@ def load_manifest(path: str | Path) -> Manifest:
             row.update({name: value for name, value in answer_row.items() if not row.get(name)})
             row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
-    trials = _entries(rows, labels, path)
+    trials = _entries(rows, trials_path, path)
     without = [entry.name for entry in trials if entry.answer is None]
     if len(without) < len(trials):
         matched += f"{len(trials) - len(without)} of {len(trials)} trials have an answer{_listed('; without', without)}"
@@ -187,40 +189,37 @@ def spelled_alike(name: str) -> str:
     return re.sub(r"^([-+]?\d+)\.0*$|^([-+]?\d+\.\d*[1-9])0+$", r"\1\2", name).removeprefix("+")
 
 
-def _entries(rows: list[dict[str, str]], labels: list[str], path: Path) -> tuple[TrialEntry, ...]:
+def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[TrialEntry, ...]:
     lacking = [name for name in (RECORDING, PARTICIPANT, CONDITION) if name not in rows[0]]
     if lacking:
         close = {name: difflib.get_close_matches(name, rows[0], n=1) for name in lacking}
         hints = [f"did you mean {entries[0]!r} by {name}? " for name, entries in close.items() if entries]
         raise FingerflowError(
-            f"{labels[0]}: there is no column {', '.join(lacking)}; {''.join(hints)}there are {', '.join(rows[0])}"
+            f"{table}: there is no column {', '.join(lacking)}; {''.join(hints)}there are {', '.join(rows[0])}"
         )
     for name in rows[0]:
-        if "." in name:
-            _check_key(name, labels[0])
-        elif name in OF_RESULTS:
-            raise FingerflowError(f"{labels[0]}: the column {name!r} is one that the study measures; rename it")
-    wrong, entries, names = [], [], dict[str, str]()
-    for number, (row, label) in enumerate(zip(rows, labels, strict=True), start=1):
+        if "." in name and not name.startswith("views.") and find_entry(name) is None:
+            hint = did_you_mean(name, key_list())
+            raise FingerflowError(f"{table}: the column {name!r} is no key of a scene; {hint}see `fingerflow keys`")
+        if name in OF_RESULTS:
+            raise FingerflowError(f"{table}: the column {name!r} is one that the study measures; rename it")
+    wrong, entries = [], []
+    for number, row in enumerate(rows, start=1):
         try:
-            entry = _entry(row, label, str(number))
+            entries.append(_entry(row, f"{table}, row {number + 1}", str(number)))
         except FingerflowError as error:
             wrong.append(str(error))
-            continue
-        if entry.name in names:
-            wrong.append(
-                f"{label}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, is "
-                f"also {names[entry.name]}; number the trials"
-            )
-        names[entry.name] = label
-        entries.append(entry)
-    for name in (PARTICIPANT, CONDITION):
-        spellings: dict[str, str] = {}
-        for row, label in zip(rows, labels, strict=True):
-            if row[name] != (other := spellings.setdefault(spelled_alike(row[name]), row[name])):
-                wrong.append(f"{label}: {name} is {row[name]!r}, and {other!r} in another row; write both alike")
     trials = Counter((entry.participant, entry.trial) for entry in entries)
+    names, spellings = dict[str, str](), dict[tuple[str, str], str]()
     for entry in entries:
+        if (first := names.setdefault(entry.name, entry.origin)) != entry.origin:
+            wrong.append(
+                f"{entry.origin}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, "
+                f"is also {first}; number the trials"
+            )
+        for name, text in ((PARTICIPANT, entry.participant), (CONDITION, entry.condition)):
+            if text != (other := spellings.setdefault((name, spelled_alike(text)), text)):
+                wrong.append(f"{entry.origin}: {name} is {text!r}, and {other!r} in another row; write both alike")
         named = entry.extra.get(REFERENCE)
         if named and (count := trials[entry.participant, named]) != 1:
             wrong.append(
@@ -263,18 +262,6 @@ def _entry(row: Mapping[str, str], label: str, number: str) -> TrialEntry:
     )
 
 
-def _check_key(dotted: str, label: str) -> None:
-    """Raise FingerflowError if a dotted column name is no key of scene files; keys in `views` are not checked."""
-    keys: Mapping[str, Any] = SCENE
-    for number, part in enumerate(dotted.split(".")):
-        if part == "views" and number == 0:
-            return
-        if part not in keys:
-            raise FingerflowError(f"{label}: the column {dotted!r} is no key of a scene; {_known_here(part, keys)}")
-        table = keys[part]
-        keys = table.keys if isinstance(table, SceneTable) else {}
-
-
 def _parse_cell(cell: str) -> Any:
     """Parse a cell of the table of trials as a TOML value; a cell that is no TOML value stays text."""
     try:
@@ -289,13 +276,3 @@ def _merged(shared: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, 
         there = merged.get(name)
         merged[name] = _merged(there, value) if isinstance(there, Mapping) and isinstance(value, Mapping) else value
     return merged
-
-
-def _refuse_unknown(path: Path, written: Mapping[str, Any], allowed: tuple[str, ...], table: str = "") -> None:
-    for name in written:
-        if name not in allowed:
-            raise FingerflowError(f"{path}: {table}{name} is not a key; {_known_here(name, allowed)}")
-
-
-def _known_here(name: str, allowed: Iterable[str]) -> str:
-    return f"{did_you_mean(name, allowed)}known here: {', '.join(allowed)}"

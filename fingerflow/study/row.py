@@ -1,6 +1,7 @@
 """Summarise the result of one trial as a row of numbers, and as curves against force on a common grid."""
 
 import json
+import math
 from functools import cached_property
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.kernels.arrays import nanmedian
 from fingerflow.models.growth_laws import power_law, relaxation
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS, UNLOADING
@@ -61,26 +63,31 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, Curve]]:
     standard deviation treats their errors as independent.
     """
     trial = _Trial(result)
-    row = dict.fromkeys(NUMBERS)
-    row |= trial.trial_numbers()
+    row = dict.fromkeys(NUMBERS) | trial.facts()
+    if not trial.touches:
+        return row, {}
+    numbers = trial.numbers()
     for name in AT_MOMENTS:
-        series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
-        if series is None:
-            continue
-        for values, std in ((series, ""), (deviation, "_std")):
-            for moment, value in trial.at_moments(values).items() if f"{name}{std}" in NUMBERS else ():
-                suffix = f"_{moment}" if f"{name}_{moment}" in NUMBERS else ""
-                row[f"{name}{suffix}{std}"] = value
-        if f"{name}_{AT_MAX}" in NUMBERS:
-            row[name] = trial.largest(series)
+        for std in ("", "_std"):
+            if f"{name}{std}" in NUMBERS and f"{name}{std}" in trial.series:
+                for moment, value in trial.at_moments(trial.series[f"{name}{std}"]).items():
+                    suffix = f"_{moment}" if f"{name}_{moment}" in NUMBERS else ""
+                    numbers[f"{name}{suffix}{std}"] = value
+        if name in trial.series and f"{name}_{AT_MAX}" in NUMBERS:
+            numbers[name] = trial.largest(trial.series[name])
     curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series} | trial.share_curves()
-    numbers = {name: _finite(value) for name, value in row.items()} | trial.facts()
     known = {name: curve for name, curve in curves.items() if np.isfinite(curve).any()}
-    return numbers, {name: [_finite(value) for value in curve] for name, curve in known.items()}
+    row |= {name: _finite(value) for name, value in numbers.items()}
+    return row, {name: [_finite(value) for value in curve] for name, curve in known.items()}
 
 
 class _Trial:
-    """Time series of one trial's result, sampled at contact onset, at the largest force, and at normal forces."""
+    """Time series of one trial's result, sampled at contact onset, at the largest force, and at normal forces.
+
+    Attributes:
+        touches: whether the finger touches in any frame; without contact nothing but `facts` is defined.
+        series: time series (F,) by the names of their columns.
+    """
 
     def __init__(self, result: xr.Dataset) -> None:
         self._result = result
@@ -90,45 +97,36 @@ class _Trial:
         self._usable = np.asarray(status) == 0
         self._force = self._values("normal_force")
         self._gross = self._values("gross_contact_area")
-        touching = np.flatnonzero(np.nan_to_num(self._gross) > 0) if self._gross is not None else np.empty(0, int)
-        self.onset = int(touching[0]) if len(touching) else None
-        self.last = int(touching[-1]) if len(touching) else None
-        self.top = self._peak_frame()
+        touching = np.flatnonzero(self._gross > 0)
+        self.touches = touching.size > 0
+        if not self.touches:
+            return
+        self._onset, self._last = int(touching[0]), int(touching[-1])
+        # Frame of the largest normal force during contact; without forces, of the largest contact area.
+        contact = slice(self._onset, self._last + 1)
+        by = self._force if np.isfinite(self._force[contact]).any() else self._gross
+        self._top = self._onset + int(np.nanargmax(by[contact]))
         # Area of a contact, and share of the largest force; frames while that rises and, in reverse, while it falls.
-        self._area, self._share = np.full((2, len(self._time)), np.nan)
-        self._rising = self._falling = np.empty(0, int)
-        if self._gross is not None and self.onset is not None and self.last is not None and self.top is not None:
-            self._area = np.where(self._gross > 0, self._gross, np.nan)
-            self._rising = np.arange(max(self.onset - 1, 0), self.top + 1)
-            self._falling = np.arange(self.last, self.top - 1, -1)
-            if self._force is not None and self._force[self.top] > 0:
-                self._share = self._force / self._force[self.top]
+        self._area = np.where(self._gross > 0, self._gross, np.nan)
+        largest = self._force[self._top]
+        self._share = self._force / (largest if largest > 0 else np.nan)
+        self._rising = np.arange(max(self._onset - 1, 0), self._top + 1)
+        self._falling = np.arange(self._last, self._top - 1, -1)
         self.series = self._series()
 
-    def _values(self, name: str) -> Series | None:
-        """Return a variable of the trial's result with NaN in unusable frames; None if the result lacks it."""
+    def _values(self, name: str) -> Series:
+        """Return a variable of the trial's result with NaN in unusable frames; NaN in all if the result lacks it."""
         if name not in self._result:
-            return None
+            return np.full(len(self._time), np.nan)
         values = np.array(self._result[name].values, dtype=np.float64)
         values[~self._usable] = np.nan
         return values
 
-    def _peak_frame(self) -> int | None:
-        """Return the frame of the largest normal force during contact; without forces, of the largest contact area."""
-        by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
-        if by is None or self.onset is None or self.last is None:
-            return None
-        part = by[self.onset : self.last + 1]
-        return self.onset + int(np.nanargmax(part)) if np.isfinite(part).any() else None
-
     def _series(self) -> dict[str, Series]:
-        measured = {name: self._values(variable) for name, variable in _SERIES.items()}
-        series = {name: values for name, values in measured.items() if values is not None}
+        series = {name: self._values(variable) for name, variable in _SERIES.items() if variable in self._result}
         series |= self._strains()
-        ratio = self._values("load_ratio")
-        if ratio is not None and self._force is not None:
-            pressed = self._force >= _ANGLE_SHARE * np.nanmax(self._force, initial=0.0)
-            series["force_angle"] = np.where(pressed, np.abs(np.arctan(ratio)), np.nan)
+        pressed = self._force >= _ANGLE_SHARE * np.nanmax(self._force, initial=0.0)
+        series["force_angle"] = np.where(pressed, np.abs(np.arctan(self._values("load_ratio"))), np.nan)
         if "status" in self._result and "in_contact" in self._result:
             covered = self._result["in_contact"].values > 0
             tracked = covered & (self._result["status"].values == 0)
@@ -137,12 +135,10 @@ class _Trial:
         return series
 
     def _strains(self) -> dict[str, Series]:
-        if self.top is None or "median_strain" not in self._result:
+        if "median_strain" not in self._result:
             return {}
-        angle = float(self._result["ellipse_angle"].values[self.top])
+        angle = float(self._result["ellipse_angle"].values[self._top])
         strain, deviation = self._values("median_strain"), self._values("median_strain_std")
-        rates = self._values("median_strain_rate")
-        assert strain is not None and deviation is not None and rates is not None  # noqa: PT018
         strains = {}
         for name, turned in (("strain", angle), ("strain_across", angle + np.pi / 2)):
             cosine, sine = np.cos(turned), np.sin(turned)
@@ -150,34 +146,28 @@ class _Trial:
             strains[name] = strain @ weights
             strains[f"{name}_std"] = np.sqrt(deviation**2 @ weights**2)
             if name == "strain":
-                strains["strain_rate"] = rates @ weights
+                strains["strain_rate"] = self._values("median_strain_rate") @ weights
         return strains
 
-    def at_moments(self, series: Series | None) -> dict[str, float]:
+    def at_moments(self, series: Series) -> dict[str, float]:
         """Return the values of a time series at the moments of the trial."""
-        if series is None or self.onset is None or self.top is None:
-            return {}
-        forces = dict(zip(FORCES_N, self.curve(series, np.array(FORCES_N)).tolist(), strict=False))
-        moments = {f"at_{force:g}n": value for force, value in forces.items()}
-        return {AT_ONSET: float(series[self.onset]), AT_MAX: float(series[self.top]), **moments}
+        at_forces = self.curve(series, np.array(FORCES_N))
+        moments = {AT_ONSET: float(series[self._onset]), AT_MAX: float(series[self._top])}
+        return moments | {f"at_{force:g}n": float(value) for force, value in zip(FORCES_N, at_forces, strict=True)}
 
     def curve(self, series: Series, forces: Series = FORCE_GRID) -> Series:
         """Return a time series of the trial where the normal force first reaches each of `forces` (N)."""
-        return np.empty(0) if self._force is None else _at(forces, self._force, series, self._rising)
+        return _at(forces, self._force, series, self._rising)
 
     def share_curves(self) -> dict[str, Series]:
         """Return the curves of `BY_SHARE`: area and pressure while the normal force rises and falls, and d² until the
         last skin slips.
         """
         curves: dict[str, Series] = {}
-        if self._force is not None and self.top is not None:
-            series = {
-                "relative_area": self._area / self._area[self.top],
-                "mean_pressure": 1e3 * self._force / self._area,
-            }
-            for name, values in series.items():
-                for suffix, frames in (("", self._rising), (UNLOADING, self._falling)):
-                    curves[f"{name}{suffix}"] = _at(SHARE_GRID, self._share, values, frames)
+        relative_area, mean_pressure = self._area / self._area[self._top], 1e3 * self._force / self._area
+        for name, values in (("relative_area", relative_area), ("mean_pressure", mean_pressure)):
+            for suffix, frames in (("", self._rising), (UNLOADING, self._falling)):
+                curves[f"{name}{suffix}"] = _at(SHARE_GRID, self._share, values, frames)
         if (slip := self._slip_loading) is not None:
             stuck, ratio, load, frames = slip
             curves["stuck_ratio"] = _at(SHARE_GRID, ratio / load, stuck, frames)
@@ -187,61 +177,53 @@ class _Trial:
         """Return the largest value of a time series of the trial between onset and end of contact; NaN if none is
         known.
         """
-        return np.nan if self.last is None else _largest(series[self.onset : self.last + 1])
+        return _largest(series[self._onset : self._last + 1])
 
-    def trial_numbers(self) -> dict[str, float]:
+    def numbers(self) -> dict[str, float]:
         """Return numbers that describe the trial as a whole, such as its duration and its largest force."""
-        numbers: dict[str, float] = {}
-        if self.onset is None or self.last is None or self.top is None:
-            return numbers
-        numbers["duration"] = self._time[self.last] - self._time[self.onset]
-        if self._force is not None:
-            numbers["max_force"] = self._force[self.top]
-            numbers["time_to_max_force"] = self._time[self.top] - self._time[self.onset]
-            numbers["force_rate"] = _largest(rate(self._force, self._time, self._window)[self.onset : self.top + 1])
-        axes = self._values("ellipse_semi_axes")
-        if axes is not None:
-            numbers["longest_axis_ratio"] = axes[self.top, 0] / axes[self.top, 1]
+        since_onset = self._time - self._time[self._onset]
+        force_rate = rate(self._force, self._time, self._window)
+        numbers = {
+            "duration": since_onset[self._last],
+            "max_force": self._force[self._top],
+            "time_to_max_force": since_onset[self._top] if np.isfinite(self._force[self._top]) else np.nan,
+            "force_rate": _largest(force_rate[self._onset : self._top + 1]),
+        }
+        if "ellipse_semi_axes" in self._result:
+            major, minor = self._values("ellipse_semi_axes")[self._top]
+            numbers["longest_axis_ratio"] = major / minor
         if "displacement" in self._result:
             numbers |= self._displacement_numbers()
-        stuck, ratio = self._values("stuck_ratio"), self._values("load_ratio")
-        if stuck is not None and ratio is not None:
-            slid = np.isfinite(ratio) & (stuck <= _SLID)
-            if slid.sum() >= _FEWEST_SLID:
-                numbers["friction"] = float(np.median(np.abs(ratio[slid])))
-                if self._force is not None:
-                    numbers["friction_force"] = float(np.nanmedian(self._force[slid]))
-            numbers |= self._full_slip()
-        return numbers | self._contact_numbers()
+        ratio = self._values("load_ratio")
+        slid = np.isfinite(ratio) & (self._values(_JUDGED) <= _SLID)
+        if slid.sum() >= _FEWEST_SLID:
+            numbers["friction"] = float(np.median(np.abs(ratio[slid])))
+            numbers["friction_force"] = float(np.nanmedian(self._force[slid]))
+        return numbers | self._full_slip() | self._contact_numbers()
 
     def _contact_numbers(self) -> dict[str, float]:
         """Return how the contact grows with force, in time at the largest force, and how it shrinks again."""
-        # `trial_numbers` has checked it; one line, as ruff would have an assertion of a test in two.
-        assert self.last is not None and self.top is not None  # noqa: PT018
-        if self._force is None or self._gross is None:
-            return {}
-        largest, numbers = self._force[self.top], dict[str, float]()
-        rising = np.arange(self.onset or 0, self.top + 1)
+        largest = self._force[self._top]
+        rising = np.arange(self._onset, self._top + 1)
         rising = rising[(self._force[rising] >= _ANGLE_SHARE * largest) & (self._gross[rising] > _LEAST_AREA_MM2)]
         tenth = np.arange(rising.size) * 10 // max(rising.size, 1)
-        law = power_law(self._force[rising], self._gross[rising], tenth)
-        numbers |= {"contact_exponent": law.exponent, "contact_exponent_std": law.exponent_std}
-        real = self._values("real_contact_area")
-        if real is not None:
-            left = np.flatnonzero(~(self._force[self.top :] >= _HELD * largest))
-            held = slice(self.top, self.top + int(left[0]) if left.size else self.last + 1)
-            law = relaxation(self._time[held], real[held])
-            numbers |= {"contact_time_constant": law.exponent, "contact_time_constant_std": law.exponent_std}
-        half, deviation = np.array([0.5]), self._values("gross_contact_area_std")
-        grown, fallen = (_at(half, self._share, self._area, frames) for frames in (self._rising, self._falling))
-        numbers["unloading_area_ratio"] = float((fallen / grown)[0])
-        if deviation is not None:
-            errors = [
-                _at(half, self._share, deviation / np.where(self._area > 0, self._area, np.nan), frames)
-                for frames in (self._rising, self._falling)
-            ]
-            numbers["unloading_area_ratio_std"] = float(np.hypot(*errors)[0] * (fallen / grown)[0])
-        return numbers
+        growth = power_law(self._force[rising], self._gross[rising], tenth)
+        left = np.flatnonzero(~(self._force[self._top :] >= _HELD * largest))
+        held = slice(self._top, self._top + int(left[0]) if left.size else self._last + 1)
+        creep = relaxation(self._time[held], self._values("real_contact_area")[held])
+        half, error = np.array([0.5]), self._values("gross_contact_area_std") / self._area
+        (grown, grown_error), (fallen, fallen_error) = (
+            [float(_at(half, self._share, values, frames)[0]) for values in (self._area, error)]
+            for frames in (self._rising, self._falling)
+        )
+        return {
+            "contact_exponent": growth.exponent,
+            "contact_exponent_std": growth.exponent_std,
+            "contact_time_constant": creep.exponent,
+            "contact_time_constant_std": creep.exponent_std,
+            "unloading_area_ratio": fallen / grown,
+            "unloading_area_ratio_std": math.hypot(grown_error, fallen_error) * fallen / grown,
+        }
 
     @cached_property
     def _verdict(self) -> dict[str, Any]:
@@ -256,7 +238,7 @@ class _Trial:
         """
         stuck, ratio, verdict = self._values(_JUDGED), self._values("load_ratio"), self._verdict
         loss, load = verdict.get("loss_frame", -1), verdict.get("loss_load_ratio", np.nan)
-        if stuck is None or ratio is None or loss < 1 or not load > 0:
+        if loss < 1 or not load > 0:
             return None
         loaded = np.flatnonzero(np.abs(ratio[:loss]) < _LOADED * load)
         return stuck, np.abs(ratio), load, np.arange(int(loaded[-1]) if loaded.size else 0, loss + 1)
@@ -278,25 +260,23 @@ class _Trial:
             moved = np.asarray(self._result["displacement"].values, dtype=np.float64)
             inside = self._result["in_contact"].values[loss] > 0
             since = np.hypot(*np.moveaxis(moved[: loss + 1, inside] - moved[begin, inside], -1, 0))
-            median = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in since])
+            median = nanmedian(since)
             speed = rate(median, self._time[: loss + 1], self._window)[-1]
             numbers |= {"full_slip_displacement": median[-1], "full_slip_displacement_std": abs(speed) * deviation}
         travel, force = self._values("actuator_position"), self._values("tangential_force")
-        if travel is not None and force is not None:
-            early = frames[: int(np.argmax(stuck[frames] < _STUCK))]  # d² is under the limit at full slip
-            early = early[np.isfinite(travel[early] + force[early])]
-            if early.size >= _FEWEST_SLID and np.ptp(travel[early]) > 0:
-                line, covariance = np.polyfit(travel[early], force[early], 1, cov=True)
-                numbers |= {"tangential_stiffness": abs(line[0]), "tangential_stiffness_std": covariance[0, 0] ** 0.5}
+        early = frames[: int(np.argmax(stuck[frames] < _STUCK))]  # d² is under the limit at full slip
+        early = early[np.isfinite(travel[early] + force[early])]
+        if early.size >= _FEWEST_SLID and np.ptp(travel[early]) > 0:
+            line, covariance = np.polyfit(travel[early], force[early], 1, cov=True)
+            numbers |= {"tangential_stiffness": abs(line[0]), "tangential_stiffness_std": covariance[0, 0] ** 0.5}
         return numbers
 
     def _displacement_numbers(self) -> dict[str, float]:
-        assert self.onset is not None and self.last is not None and self.top is not None  # noqa: PT018
-        moved = np.asarray(self._result["displacement"].values[self.onset : self.last + 1], dtype=np.float64)
-        usable = self._usable[self.onset : self.last + 1]
+        contact = slice(self._onset, self._last + 1)
+        moved = np.asarray(self._result["displacement"].values[contact], dtype=np.float64)
         length = np.hypot(moved[..., 0], moved[..., 1])
-        length[~usable] = np.nan
-        length[self._result["in_contact"].values[self.onset : self.last + 1] == 0] = np.nan
+        length[~self._usable[contact]] = np.nan
+        length[self._result["in_contact"].values[contact] == 0] = np.nan
         counts = np.isfinite(length).sum(1)
         if not counts.any():
             return {}
@@ -306,8 +286,8 @@ class _Trial:
         largest = np.sort(length, axis=1)[np.arange(len(length)), chosen]  # NaN last
         frame = int(np.nanargmax(largest))
         point = int(np.flatnonzero(length[frame] == largest[frame])[0])
-        velocity = rate(moved[:, point], self._time[self.onset : self.last + 1], self._window)
-        speed = np.hypot(velocity[:, 0], velocity[:, 1])[: self.top - self.onset + 1]
+        velocity = rate(moved[:, point], self._time[contact], self._window)
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])[: self._top - self._onset + 1]
         return {"max_displacement": float(largest[frame]), "max_speed": _largest(speed)}
 
     def facts(self) -> dict[str, Any]:
@@ -322,8 +302,8 @@ class _Trial:
         }
 
 
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _at(grid: Series, load: Series, series: Series, frames: NDArray[np.int_]) -> Series:

@@ -1,21 +1,18 @@
 """Recordings of a simulated study with known truth: two presses per trial, and the observer's answers."""
 
-import csv
-import io
 import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from tqdm import tqdm
 
 from fingerflow.results.atomic_write import write_text
-from fingerflow.study.simulated_trials import Design, Presses, answer_table, draw_presses, make_recording
+from fingerflow.study.simulated_trials import Design, answer_table, draw_presses, make_recording
 from fingerflow.synthetic import write_recording
 
-_COLUMNS = ("participant", "trial", "reference", "answer", "true_friction", "true_softness", "true_force",
-            "true_divergence", "true_real_contact_area", "true_gross_contact_area", "true_force_angle",
-            "true_displacement")  # fmt: skip
+_TRUE = ("friction", "softness", "force", "divergence", "real_contact_area", "gross_contact_area")
 
 
 def write_recordings(folder: Path, design: Design) -> None:
@@ -28,25 +25,23 @@ def write_recordings(folder: Path, design: Design) -> None:
     Raises FingerflowError if a recording cannot be written.
     """
     presses = draw_presses(design)
-    answers = answer_table(design, *presses.pairs())
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    names = []
-    for number, participant in enumerate(presses.participant):
-        trial = number - int(np.searchsorted(presses.participant, participant)) + 1
-        pair, is_comparison = divmod(number, 2)
-        of_pair = (f"{trial - 1:03d}", int(answers[pair])) if is_comparison else ("", "")
-        names.append(f"p{participant + 1:02d}/{presses.amplitude[number]:g}um/trial{trial:03d}")
-        writer.writerow((f"{participant + 1:02d}", f"{trial:03d}", *of_pair, *_truth(presses, number)))
-    write_text(folder / "answers.csv", text.getvalue())
+    number = np.arange(presses.participant.size)
+    people = [f"{person + 1:02d}" for person in presses.participant]
+    trials = [f"{trial + 1:03d}" for trial in number - np.searchsorted(presses.participant, presses.participant)]
+    answers = np.repeat(answer_table(design, *presses.pairs()), 2).astype(int)
+    is_comparison = number % 2 == 1
+    columns = {
+        "participant": people,
+        "trial": trials,
+        "reference": np.where(is_comparison, np.roll(trials, 1), ""),
+        "answer": np.where(is_comparison, answers.astype(str), ""),
+    }
+    columns |= {f"true_{name}": getattr(presses, name) for name in _TRUE}
+    columns |= {"true_force_angle": presses.angle, "true_displacement": np.hypot(*presses.shift.T)}
+    table = pd.DataFrame(columns).to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    write_text(folder / "answers.csv", table)
     write_text(folder / "truth.json", json.dumps(asdict(design)))
-    for number, name in enumerate(tqdm(names, desc="synthetic presses", unit="press")):
+    names = (f"p{who}/{um:g}um/trial{trial}" for who, um, trial in zip(people, presses.amplitude, trials, strict=True))
+    for press, name in enumerate(tqdm(names, desc="synthetic presses", unit="press", total=len(people))):
         if not (folder / name).exists():
-            write_recording(folder / name, make_recording(design, presses, number), progress=False)
-
-
-def _truth(presses: Presses, number: int) -> tuple[str, ...]:
-    moved, areas = np.hypot(*presses.shift.T), (presses.real_contact_area, presses.gross_contact_area)
-    of_press = presses.friction, presses.softness, presses.force, presses.divergence, *areas, presses.angle, moved
-    return tuple(f"{values[number]:.6g}" for values in of_press)
+            write_recording(folder / name, make_recording(design, presses, press), progress=False)

@@ -22,12 +22,13 @@ _LARGEST_AMPLITUDE = 2.0  # µm, largest amplitude at which the paper asks wheth
 @dataclass(frozen=True)
 class Sample:
     """Trials used in figures and statistics, of `number` trials of the study, and how many each rule excludes, as pairs
-    (rule in words, number).
+    (rule in words, number); `table` is a DataFrame with their rows.
 
     If `answered` is False, the study has no answers, and `trials.answer` holds placeholders (False).
     """
 
     trials: observer.Trials
+    table: Any
     answered: bool
     number: int
     rules: tuple[tuple[str, int], ...]
@@ -65,7 +66,7 @@ def read_sample(frame: Any) -> Sample:
         silent = measured & ~answered
         rules.append(("no answer in the manifest", int((silent & ~reference).sum())))
         rules.append(("reference presses, which count in differences from them", int((silent & reference).sum())))
-    return Sample(observer.read_trials(columns | metrics), any_answer, len(frame), tuple(rules))
+    return Sample(observer.read_trials(columns | metrics), rows, any_answer, len(frame), tuple(rules))
 
 
 def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
@@ -191,13 +192,11 @@ class Results:
                 f"{self.path} has no table of {shown or 'points'}: choose a map of points or triangles"
             )
         _, arrays = self.frame(frame, shown)
+        position = arrays["position"].astype(float)
         if of == "triangle":
-            corners = self.triangles()
-            middle = arrays["position"].astype(float)[corners].mean(axis=1)
-            columns = {"triangle": np.arange(len(corners)), "x (mm)": middle[:, 0], "y (mm)": middle[:, 1]}
-        else:
-            position = arrays["position"].astype(float)
-            columns = {"point": np.arange(len(position)), "x (mm)": position[:, 0], "y (mm)": position[:, 1]}
+            position = position[self.triangles()].mean(axis=1)
+        columns = {of: np.arange(len(position)), "x (mm)": position[:, 0], "y (mm)": position[:, 1]}
+        if of == "point":
             columns["status"] = arrays["status"]
         if shown is not None:
             columns |= self._column(shown, shown, arrays["shown"].astype(float))
@@ -267,6 +266,4 @@ class Results:
 
 
 def _csv(columns: dict[str, NDArray[Any]]) -> str:
-    lines = [",".join(columns)]
-    lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)]
-    return "\n".join(lines) + "\n"
+    return str(pd.DataFrame(columns).to_csv(index=False, float_format="%.9g", na_rep="nan", lineterminator="\n"))

@@ -1,7 +1,7 @@
 """HTTP server of the page, which passes requests to a session."""
 
+import json
 import os
-import re
 import socket
 import threading
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import uvicorn
+from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -21,8 +22,6 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.variable_record import IN_PERCENT
 from fingerflow.schema.variables import VARIABLES
-from fingerflow.view import bodies
-from fingerflow.view.bodies import Body, parse_body
 from fingerflow.view.connection import Connection
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
@@ -109,24 +108,11 @@ def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print
 def application(session: Session) -> Starlette:
     """Return the web application with all routes, without access control, which `Guard` adds."""
 
-    def number(request: Request, name: str) -> int:
-        text = request.query_params.get(name, "")
-        if not re.fullmatch(r"-?[0-9]{1,18}", text):
-            raise FingerflowError(f"{name}={text[:40]!r} is no number of a frame")
-        return int(text)
-
-    def frame(request: Request) -> bytes:
-        return session.frame(number(request, "frame"), "contact" in request.query_params)
-
-    def result_frame(request: Request) -> bytes:
-        query = request.query_params
-        return session.result_frame(number(request, "frame"), query.get("shown") or None, "contact" in query)
-
-    def calibration(_: Request) -> Response:
+    def calibration() -> Response:
         picture = session.calibration_picture()
         return Response(status_code=404) if picture is None else Response(picture, media_type="image/png")
 
-    def report(_: Request) -> Response:
+    def report() -> Response:
         page = session.report_page()
         # Sandbox the report: whatever it contains, it can send no requests and does not share the origin of this page.
         rules = {"Content-Security-Policy": _REPORT_MAY}
@@ -135,61 +121,65 @@ def application(session: Session) -> Starlette:
     # Answered also while another request, which takes long, holds the lock of the session.
     at_once = ("ready", "variables", "percent", "folder", "end", "progress")
 
-    def route(path: str, act: Callable[[Any], Any], model: type[Body] | None = None) -> Route:
-        """Return a route that calls `act` with the fields of the body of a POST, if it has a `model`, or with a GET."""
+    def route(path: str, act: Callable[..., Any], method: str = "GET") -> Route:
+        """Return a route that calls `act` with the fields of a request, checked by the types of its arguments: those of
+        the JSON body of a POST, or of the query of a GET.
+        """
+        checked: TypeAdapter[Any] = TypeAdapter(act)  # type: ignore[arg-type]  # calls the function
 
-        def answer(sent: Any) -> Any:
+        def answer(sent: bytes) -> Any:
             with session.lock if path.removeprefix("/api/") not in at_once else nullcontext():
-                return act(sent)
+                return checked.validate_json(sent)
 
         async def endpoint(request: Request) -> Response:
-            if model is not None:
-                return _response(await run_in_threadpool(answer, parse_body(await request.body(), model)))
-            bodies.refuse_zero_bytes(request.query_params.multi_items())
-            return _response(await run_in_threadpool(answer, request))
+            sent = await request.body() if method == "POST" else json.dumps(dict(request.query_params)).encode()
+            if rb"\u0000" in sent:
+                raise FingerflowError("what was sent has a zero byte, which no name of a file or key can have")
+            return _response(await run_in_threadpool(answer, sent))
 
-        return Route(path, endpoint, methods=["GET" if model is None else "POST"])
+        return Route(path, endpoint, methods=[method])
 
     routes = [
-        route("/api/ready", lambda _: session.ready()),
+        route("/api/ready", session.ready),
         route("/api/variables", _variables),
-        route("/api/percent", _switch_unit, Body),
-        route("/api/setup", lambda _: session.setup()),
-        route("/api/folder", lambda request: session.folder(request.query_params.get("at", ""))),
-        route("/api/frame", frame),
-        route("/api/points", lambda _: session.points()),
-        route("/api/forces", lambda _: session.forces()),
+        route("/api/percent", _switch_unit, "POST"),
+        route("/api/setup", session.setup),
+        route("/api/folder", session.folder),
+        route("/api/frame", session.frame),
+        route("/api/points", session.points),
+        route("/api/forces", session.forces),
         route("/api/calibration.png", calibration),
-        route("/api/edit", session.edit, bodies.EditBody),
-        route("/api/calibrate", session.calibrate, bodies.CalibrateBody),
-        route("/api/write", session.write, bodies.WriteBody),
-        route("/api/process", session.process, bodies.ProcessBody),
-        route("/api/end", session.end, bodies.EndBody),
-        route("/api/report", lambda _: session.report(), Body),
-        route("/api/progress", lambda request: session.progress(request.query_params.get("of", ""))),
+        route("/api/edit", session.edit, "POST"),
+        route("/api/calibrate", session.calibrate, "POST"),
+        route("/api/write", session.write, "POST"),
+        route("/api/process", session.process, "POST"),
+        route("/api/end", session.end, "POST"),
+        route("/api/report", session.report, "POST"),
+        route("/api/progress", session.progress),
         route(f"/{session.report_name}", report),
-        route("/api/result", lambda _: session.result()),
-        route("/api/result/frame", result_frame),
-        route("/api/result/range", lambda request: session.result_range(request.query_params.get("key", ""))),
-        route("/api/result/triangles", lambda _: session.triangles()),
-        route("/api/result/courses", lambda request: session.courses(request.query_params.getlist("key"))),
-        route("/api/result/history", session.history, bodies.HistoryBody),
-        route("/api/result/table", session.table, bodies.TableBody),
+        route("/api/result", session.result),
+        route("/api/result/frame", session.result_frame),
+        route("/api/result/range", session.result_range),
+        route("/api/result/triangles", session.triangles),
+        route("/api/result/courses", session.courses, "POST"),
+        route("/api/result/history", session.history, "POST"),
+        route("/api/result/table", session.table, "POST"),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    return Starlette(routes=routes, exception_handlers={FingerflowError: _refused, OSError: _refused})
+    errors = (FingerflowError, OSError, ValidationError)
+    return Starlette(routes=routes, exception_handlers=dict.fromkeys(errors, _refused))
 
 
-def _variables(_: object) -> dict[str, dict[str, object]]:
+def _variables() -> dict[str, dict[str, object]]:
     return {name: variable.shown() for name, variable in VARIABLES.items()}
 
 
-def _switch_unit(_: object) -> dict[str, dict[str, object]]:
+def _switch_unit() -> dict[str, dict[str, object]]:
     """Switch the unit in which the page and all that it writes show deformation between its own unit and %; return the
     variables with their units as shown.
     """
     os.environ[IN_PERCENT] = "0" if os.environ.get(IN_PERCENT) == "1" else "1"
-    return _variables(_)
+    return _variables()
 
 
 def _response(answer: Any) -> Response:
@@ -203,5 +193,10 @@ def _response(answer: Any) -> Response:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
+    text = reword(str(error))
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"])) or "the whole"
+        text = f"{field} of what was sent is wrong: {first['msg']}; reload the page"
     asks = {"asks": True} if isinstance(error, NeedsLeaveError) else {}
-    return JSONResponse({"error": reword(str(error)), **asks}, 409 if asks else 422)
+    return JSONResponse({"error": text, **asks}, 409 if asks else 422)

@@ -4,13 +4,14 @@ import contextlib
 import json
 import os
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
+from pydantic import Field, FiniteFloat
 from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
@@ -33,6 +34,7 @@ if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does not
     from fingerflow.view.preview import Previewer
 
 Facts = dict[str, Any]
+Point = Annotated[int, Field(lt=2**31)]  # index of a point in a request of the page
 
 
 class Session:
@@ -115,7 +117,7 @@ class Session:
                 facts["problems"].append({"key": key, "field": field_name(key), "said": problem})
         return facts
 
-    def folder(self, at: str) -> Facts:
+    def folder(self, at: str = "") -> Facts:
         """Return the folders and files in a folder, which is given relative to that of the scene file."""
         start = self._drafted().path.parent
         folder = (start / at).resolve()
@@ -123,7 +125,7 @@ class Session:
         relative = os.path.relpath(folder, start).replace(os.sep, "/")
         return {"folder": str(folder), "at": "" if relative == "." else relative, "folders": folders, "files": files}
 
-    def frame(self, frame: int, contact: bool) -> bytes:
+    def frame(self, frame: int, contact: bool = False) -> bytes:
         """Return the image of a frame (index in the file) and, if requested, the contact predicted in it, as packed
         bytes.
         """
@@ -170,62 +172,75 @@ class Session:
         path = None if self._draft is None else _calibration_picture(self._draft)
         return None if path is None else path.read_bytes()
 
-    def calibrate(self, request: Mapping[str, Any]) -> Facts:
+    def calibrate(
+        self,
+        ring: str | None = None,
+        target: str | None = None,
+        background: str | None = None,
+        chessboard: str | None = None,
+        corners: Sequence[int] = (),
+        hole_radius_mm: FiniteFloat | None = None,
+    ) -> Facts:
         """Calibrate from image files with the views of the draft, as `fingerflow calibrate` does, and return `setup()`.
 
-        `request` is a `CalibrateBody` with files in the scene's folder; the calibration file written there becomes that
-        of the draft.
+        The files are in the scene's folder; the calibration file written there becomes that of the draft.
+
+        Args:
+            ring, target, background, chessboard: names of files, empty for none.
+            corners: numbers of inner corners in a row and in a column of the chessboard.
+            hole_radius_mm: of the ring.
         """
         from fingerflow.calibration import FILE, calibrate_files
 
         draft = self._drafted()
         folder, stated = draft.path.parent, draft.table("views")
-        names = "ring", "target", "background", "chessboard"
-        files: dict[str, Any] = {name: folder / str(request[name]) for name in names if request.get(name)}
-        if "ring" not in files:
+        if not ring:
             raise FingerflowError("name the picture of the ring: it gives the scale")
+        named = {"target": target, "background": background, "chessboard": chessboard}
+        files: dict[str, Any] = {name: folder / file for name, file in named.items() if file}
         ranges = {"contact": stated.get("contact", stated.get("camera"))}
         ranges["topography"] = "target" in files and stated.get("topography")
         views = {name: View(pixels["rows"], pixels["columns"]) for name, pixels in ranges.items() if pixels}
-        radius, corners = float(request.get("hole_radius_mm") or 2.75), request.get("corners")
-        calibration = calibrate_files(
-            **files, views=views, hole_radius_mm=radius, output=folder / FILE, corners=corners and tuple(corners)
-        )
+        if corners:
+            files["corners"] = tuple(corners)
+        if hole_radius_mm:
+            files["hole_radius_mm"] = hole_radius_mm
+        calibration = calibrate_files(folder / ring, views=views, output=folder / FILE, **files)
         for key in ("mm_per_px", "topography_to_contact", "intrinsics", "distortion"):
             draft.set(("calibration", key), None)
         draft.set(("calibration", "file"), FILE)
         warnings = [*map(reword, calibration.warnings)]
         return {**self.setup(), "calibrated": {"mm_per_px": calibration.mm_per_px, "warnings": warnings}}
 
-    def edit(self, request: Mapping[str, Any]) -> Facts:
-        """Set keys of the draft from `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
+    def edit(self, set: Sequence[tuple[str, Any]]) -> Facts:
+        """Set keys of the draft, given as pairs (dotted key, value); a value {"toml": text} is parsed as TOML.
 
         Raises:
             FingerflowError: keys that cannot be set, after all others were set.
         """
         draft, refused = self._drafted(), []
-        for key, value in request["set"]:
+        for key, value in set:
             try:
                 if key == "kind":
                     draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
                 else:
-                    draft.set(tuple(str(key).split(".")), _shown_value(value))
+                    draft.set(tuple(key.split(".")), _shown_value(value))
             except FingerflowError as error:
                 refused.append(str(error))
         if refused:
             raise FingerflowError("; ".join(refused))
         return self.setup()
 
-    def write(self, request: Mapping[str, Any]) -> Facts:
-        """Write the scene file; raise NeedsLeaveError before overwriting content that the page has not read."""
-        name = request.get("to")
-        to = None if not name else self._drafted().path.parent / str(name)
-        self._drafted().write(to, bool(request.get("replace")))
+    def write(self, to: str | None = None, replace: bool = False) -> Facts:
+        """Write the draft as the scene file, or to another file `to` in its folder; raise NeedsLeaveError before
+        overwriting content that the page has not read, unless `replace`.
+        """
+        self._drafted().write(self._drafted().path.parent / to if to else None, replace)
         return self.setup()
 
     # Processing.
 
-    def process(self, request: Mapping[str, Any]) -> Facts:
+    def process(self, all: bool = False) -> Facts:
         """Start `fingerflow process` on the saved scene; the command writes `result.h5` into the folder of the scene.
 
         With `all`, also request the variables computed only on request: principal strains, shear.
@@ -242,7 +257,7 @@ class Session:
                 recorded = json.loads(earlier.attrs["settings"])["recording"]
             if recorded == json.loads(scene.as_json())["recording"]:  # reuses results that are still valid
                 arguments += ["--from", to]
-        if request.get("all"):
+        if all:
             from fingerflow.view.preview import all_of_default_stages
 
             for name in all_of_default_stages(scene):
@@ -262,9 +277,8 @@ class Session:
         run = self._runs.get("report")
         return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
-    def end(self, request: Mapping[str, Any]) -> Facts:
+    def end(self, of: str) -> Facts:
         """Stop a running `process` or `report` command, and return its progress."""
-        of = str(request.get("of"))
         if of in self._runs:
             self._runs[of].end()
         return self.progress(of)
@@ -296,7 +310,7 @@ class Session:
             facts["recording"], facts["recording_error"] = None, str(error)
         return facts
 
-    def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
+    def result_frame(self, frame: int, shown: str | None = None, contact: bool = False) -> bytes:
         """Return the values of a frame of the result as packed bytes, with its image if the recording can be read."""
         numbers, arrays = self._opened_result().frame(frame, shown)
         facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
@@ -326,11 +340,10 @@ class Session:
         result = self._opened_result()
         return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
-    def history(self, request: Mapping[str, Any]) -> bytes:
+    def history(self, key: str, points: list[Point]) -> bytes:
         """Return the time series of a variable at one point with its status, or the median over several points, with
         the number of points at which it is known, as packed bytes.
         """
-        key, points = request["key"], [int(point) for point in request["points"]]
         result = self._opened_result()
         values = result.point_courses(key, points)
         arrays = {"values": nanmedian(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
@@ -338,12 +351,15 @@ class Session:
             arrays["status"] = result.point_courses("status", points)[:, 0].astype(np.uint8)
         return packed({"key": key, "points": points}, arrays)
 
-    def table(self, request: Mapping[str, Any]) -> str:
-        """Return CSV text of the time series, or of the frame, that the page displays."""
-        result = self._opened_result()
-        if request["of"] == "frame":
-            return result.table_of_frame(int(request["frame"]), request.get("shown"))
-        return result.table_of_courses(request["keys"], [int(k) for k in request["points"]], request.get("shown"))
+    def table(
+        self, of: str, frame: int = 0, shown: str | None = None, keys: Sequence[str] = (), points: Sequence[Point] = ()
+    ) -> str:
+        """Return CSV text of the time series, or of the frame, that the page displays; with the time series `keys` the
+        median of `shown` over selected points.
+        """
+        if of == "frame":
+            return self._opened_result().table_of_frame(frame, shown)
+        return self._opened_result().table_of_courses(keys, points, shown)
 
     # What is opened.
 

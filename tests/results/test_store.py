@@ -62,7 +62,7 @@ def test_points_may_be_added(tmp_path: Path) -> None:
             store.create("status")
             first, last = np.arange(8), np.arange(8, FRAMES)
             store["position"][first] = np.ones((8, 300, 2))
-            store.grow("point", 310, {"status": 3})
+            store.grow(310, {"status": 3})
             store["position"][last] = np.full((len(last), 310, 2), 2.0)
             store.finish(np.arange(FRAMES) / 10, np.arange(FRAMES), {"fingerflow_version": "0"})
     stored = load_result(path)

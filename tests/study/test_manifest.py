@@ -75,7 +75,7 @@ def test_a_column_with_a_dot_is_a_key_of_the_scene(study: Manifest, lab: Path) -
             ["trials.csv, row 3: answer is 'maybe'", "trials.csv, row 4: condition is empty"],
         ),
         ([("01,2,0,1", "01,1,0,1")], "", ["row 3: trial 1 of participant 01, condition 0, is also", "row 2"]),
-        ([], "tracking.pionts", ["did you mean 'points'"]),
+        ([], "tracking.pionts", ["did you mean 'tracking.points'"]),
         ([], "divergence", ["is one that the study measures"]),
     ],
 )

@@ -70,5 +70,5 @@ def test_values_that_cannot_be_are_problems_of_the_draft(
     facts = json.loads(said)
     assert status == 200
     assert facts["problems"] or facts["recording_error"]
-    for path in ("setup", "frame?frame=1&contact", "points", "forces", "calibration.png"):
+    for path in ("setup", "frame?frame=1&contact=1", "points", "forces", "calibration.png"):
         assert ask(served, f"/api/{path}", **own)[0] in (200, 404, 422), path

@@ -102,7 +102,7 @@ export class ResultsView {
   }
   async frame(k) {
     const { shown, range } = this;  // of this frame, whatever is chosen meanwhile
-    const query = `frame=${k}${shown ? `&shown=${encodeURIComponent(shown)}` : ""}${this.layer.contact && this.app.ready ? "&contact" : ""}`;
+    const query = `frame=${k}${shown ? `&shown=${encodeURIComponent(shown)}` : ""}${this.layer.contact && this.app.ready ? "&contact=1" : ""}`;
     this.found = { key: shown, range, ...await arrays(`api/result/frame?${query}`) };
     const place = this.found.arrays.position?.values, status = this.found.arrays.status?.values;
     if (place) for (let i = 0; i < status.length; i++) {
@@ -295,7 +295,7 @@ export class ResultsView {
   async courses() {
     if (!this.curves.size) return;
     const keys = [...new Set([this.x, ...this.ticked])];
-    const found = (await arrays(`api/result/courses?${keys.map(key => `key=${encodeURIComponent(key)}`).join("&")}`)).arrays;
+    const found = (await postArrays("api/result/courses", { keys })).arrays;
     const curves = this.ticked.map(key => ({ label: labelOf(key), units: unitOf(key), values: allShown(key, found[key].values) }));
     if (this.history) {
       const who = this.chosen.length === 1 ? `point ${this.chosen[0]}` : `median of ${this.chosen.length} points`;

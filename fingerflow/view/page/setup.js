@@ -200,7 +200,7 @@ export class Setup {
   frameOfChart(k) { return k + (this.forces?.first_frame || 0); }
   async frame(k) {
     const contact = this.layer.contact && !this.facts.problems.length && this.app.ready;
-    this.found = await arrays(`api/frame?frame=${k}${contact ? "&contact" : ""}`);
+    this.found = await arrays(`api/frame?frame=${k}${contact ? "&contact=1" : ""}`);
     this.found.asked = contact;
     return [this.found, this.views.contact || this.views.camera];
   }

@@ -300,7 +300,7 @@ class TrackingStage(Stage):
             self._full = True
             self.warnings.append(f"no more points are seeded where skin comes into contact: {why}")
         if more:
-            self.results.grow("point", points + more, {"status": TrackStatus.NOT_SEEDED_YET})
+            self.results.grow(points + more, {"status": TrackStatus.NOT_SEEDED_YET})
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
