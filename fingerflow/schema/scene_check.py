@@ -153,12 +153,9 @@ class SceneCheck(TableCheck):
                 "out",
             )
         together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
-        for key, partner, remedy in (
-            ("trigger", "trigger_level", "add trigger_level = 2.5 in the channel's unit"),
-            ("trigger_level", "trigger", "add trigger = with the channel's name"),
-        ):
+        for key, partner in (("trigger", "trigger_level"), ("trigger_level", "trigger")):
             if f"forces.{key}" in self.given and f"forces.{partner}" not in self.given:
-                self.record_conflict(f"forces.{key}", f"{together}; {remedy}")
+                self.record_conflict(f"forces.{key}", f"{together}; add {partner}")
         for table, keys in PROFILES.get(str(self.profile), {}).items():
             for name, value in keys.items():
                 if self.find_value(f"{table}.{name}") != value:
