@@ -31,11 +31,6 @@ class Plan(NamedTuple):
     stages: tuple[type[Stage], ...]
     requested: frozenset[str]
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the planned stages, in the order in which the stages run."""
-        return tuple(stage.name for stage in self.stages)
-
     def passes(self) -> list[list[type[Stage]]]:
         """Return the planned stages as a list of groups, each of which is run in one pass over the frames.
 
@@ -59,8 +54,10 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     """
     stages = {stage: stage.variant(scene) for stage in all_stages()}
     if outputs is None:
-        computes = KINDS[scene.kind].computes
-        possible = [stage for base, stage in stages.items() if computes(base.name) and not _missing_keys(stage, scene)]
+        without = KINDS[scene.kind].without
+        possible = [
+            stage for base, stage in stages.items() if base.name not in without and not _missing_keys(stage, scene)
+        ]
         also = profiles.OUTPUTS.get(scene.profile or "", frozenset())
         requested = [stage for stage in possible if any(one.unasked or one.name in also for one in stage.gives)]
         return _add_needs(requested, also, stages.values())

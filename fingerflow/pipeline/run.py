@@ -73,28 +73,19 @@ def process(
         FingerflowError: for every error that the user can correct; the message names the file and the value.
     """
     file = None if to is None else Path(to)
-    dataset = _compute(_loaded(scene), file, outputs, device, progress, engine, overwrite, earlier)
+    loaded = scene if isinstance(scene, Scene) else load_scene(Path(scene))
+    dataset = compute(loaded, file, outputs, device, progress, engine, overwrite, earlier)
     return dataset if file is None else open_own(file)
 
 
-def process_to_file(
-    to: Path, scene: Scene | str | Path, overwrite: bool = False, earlier: str | Path | None = None
-) -> None:
-    """Compute the default outputs of a scene into the file `to`, as `process` does, and leave the file closed: opening
-    it takes longer than a stage of a small recording.
-    """
-    _compute(_loaded(scene), to, overwrite=overwrite, earlier=earlier)
-
-
-def _loaded(scene: Scene | str | Path) -> Scene:
-    return scene if isinstance(scene, Scene) else load_scene(Path(scene))
-
-
-def _compute(
+def compute(
     scene: Scene, to: Path | None, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False,
     engine: str = "auto", overwrite: bool = False, earlier: str | Path | None = None,
 ) -> xr.Dataset:  # fmt: skip
-    """Compute a scene into the file `to`, and return an empty data set; without a file, return the results."""
+    """Compute a scene into the file `to`, and return an empty data set; without a file, return the results.
+
+    The file is left closed: opening it, as `process` does, takes longer than a stage of a small recording.
+    """
     if to is not None:
         spare(to, *scene.files())
         keep_others(to, is_result, overwrite)

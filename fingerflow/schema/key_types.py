@@ -2,17 +2,15 @@
 field of the page.
 """
 
-import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
-
-from fingerflow.schema.calibration_file import can_be_undone
 
 Reader = Literal["process", "stream"]
 PROCESS, STREAM = frozenset[Reader](("process",)), frozenset[Reader](("stream",))
@@ -86,12 +84,6 @@ def number(
     odd: bool = False,
 ) -> NumberType:
     """Return the type of a key that takes a finite number in a range, an ``odd`` one where that is set."""
-    return partial(_number, above, least, most, below, odd)
-
-
-def _number(
-    above: float | None, least: float | None, most: float | None, below: float | None, odd: bool, whole: bool
-) -> KeyType:
     limits = [
         (sign, words, limit, is_beyond)
         for sign, words, limit, is_beyond in (
@@ -100,31 +92,29 @@ def _number(
         )
         if limit is not None
     ]
-
-    def convert(value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
-            quoted = isinstance(value, str) and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value)
-            expected = "a whole number" if whole else "a number"
-            raise WrongValue(f"it should be {expected}{', without quotes' if quoted else ''}")
-        try:
-            finite = math.isfinite(value)
-        except OverflowError:
-            finite = False
-        if not finite:
-            raise WrongValue("it should be a finite number")
-        converted = value if whole else float(value)
-        for _, words, limit, is_beyond in limits:
-            if is_beyond(converted, limit):
-                raise WrongValue(f"it should be {words} {limit:g}")
-        if odd and converted % 2 == 0:
-            raise WrongValue(f"{converted} is even; the middle pixel needs an odd side, such as {converted + 1}")
-        return converted
-
     bounds = " and ".join(f"{sign} {limit:g}" for sign, _, limit, _ in limits)
-    words = f"{'odd ' if odd else ''}{'whole ' if whole else ''}number {bounds}".strip()
     form = {"least": above if least is None else least, "most": below if most is None else most}
-    kinds = {"input": "whole", "odd": odd} if whole else {"input": "number"}
-    return KeyType(words, convert, kinds | form)
+
+    def of_kind(whole: bool) -> KeyType:
+        def convert(value: Any) -> float:
+            if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+                quoted = isinstance(value, str) and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value)
+                expected = "a whole number" if whole else "a number"
+                raise WrongValue(f"it should be {expected}{', without quotes' if quoted else ''}")
+            if not abs(value) <= sys.float_info.max:
+                raise WrongValue("it should be a finite number")
+            converted = value if whole else float(value)
+            for _, words, limit, is_beyond in limits:
+                if is_beyond(converted, limit):
+                    raise WrongValue(f"it should be {words} {limit:g}")
+            if odd and converted % 2 == 0:
+                raise WrongValue(f"{converted} is even; the middle pixel needs an odd side, such as {converted + 1}")
+            return converted
+
+        words = f"{'odd ' if odd else ''}{'whole ' if whole else ''}number {bounds}".strip()
+        return KeyType(words, convert, ({"input": "whole", "odd": odd} if whole else {"input": "number"}) | form)
+
+    return of_kind
 
 
 ANY_NUMBER = number()(False)
@@ -217,21 +207,41 @@ def each(*among: float) -> KeyType:
     return KeyType(words, convert, {"input": "signs" if among else "toml"})
 
 
-def _time_range(value: Any) -> tuple[float, float]:
-    needed = "two times in s from the trigger are needed, the earlier first, for example [-0.5, -0.1]"
-    if not isinstance(value, list) or len(value) != 2:
-        raise WrongValue(needed)
-    try:
-        first, last = map(ANY_NUMBER.convert, value)
-    except WrongValue as wrong:
-        raise WrongValue(f"of its items {wrong}; {needed}") from None
-    if first >= last:
-        raise WrongValue(needed)
-    return first, last
+def list_of(
+    words: str,
+    needed: str,
+    items: Sequence[KeyType],
+    more: bool = False,
+    holds: Callable[[list[Any]], bool] = lambda _: True,
+) -> KeyType:
+    """Return the type of a key that takes a list with a value of each of the types `items`; with `more`, further ones
+    of the last type. `needed` says so in words, with any rule for the values together, which `holds` checks.
+    """
+
+    def convert(value: Any) -> tuple[Any, ...]:
+        count = len(value) if isinstance(value, list | tuple) else 0
+        if count < len(items) or (count > len(items) and not more):
+            raise WrongValue(needed)
+        converted = []
+        for number, (item, item_type) in enumerate(zip_longest(value, items, fillvalue=items[-1]), start=1):
+            try:
+                converted.append(item_type.convert(item))
+            except WrongValue as wrong:
+                raise WrongValue(f"of item {number} {wrong}; {needed}") from None
+        if not holds(converted):
+            raise WrongValue(needed)
+        return tuple(converted)
+
+    return KeyType(words, convert)
 
 
 #: Interval [t0, t1] in s from the trigger, with t0 before t1.
-TIME_RANGE = KeyType("[t0, t1] from the trigger,", _time_range)
+TIME_RANGE = list_of(
+    "[t0, t1] from the trigger,",
+    "two times in s from the trigger are needed, the earlier first, for example [-0.5, -0.1]",
+    (ANY_NUMBER, ANY_NUMBER),
+    holds=lambda times: times[0] < times[1],
+)
 
 
 def moment(choices: tuple[str, ...]) -> KeyType:
@@ -253,91 +263,48 @@ def moment(choices: tuple[str, ...]) -> KeyType:
     return KeyType(words, convert, choices=choices)
 
 
-def _pixel_range(value: Any) -> tuple[int, int]:
-    if not isinstance(value, list):
-        raise WrongValue("it should be a list of two whole numbers, [first, end)")
-    if len(value) != 2:
-        raise WrongValue(f"it should have at {'most' if len(value) > 2 else 'least'} 2 items, not {len(value)}")
-    for position, item in enumerate(value, start=1):
-        if type(item) is not int:
-            raise WrongValue(f"item {position} should be a whole number")
-    first, end = value
-    if not 0 <= first < end:
-        raise WrongValue("two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]")
-    return first, end
-
-
+_PIXEL = number(least=0)(True)
 #: Half-open range [first, end) of pixels.
-PIXEL_RANGE = KeyType("[first, end)", _pixel_range)
-
-
-def pair(ranged: NumberType) -> KeyType:
-    """Return the type of a key that takes a pair of numbers [x, y]."""
-    item = ranged(False)
-
-    def convert(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise WrongValue("it should be a list of two numbers, [x, y]")
-        x, y = map(item.convert, value)
-        return x, y
-
-    return KeyType(f"[x, y], each a {item.words}", convert)
-
-
-PAIR = pair(number())
+PIXEL_RANGE = list_of(
+    "[first, end)",
+    "two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]",
+    (_PIXEL, _PIXEL),
+    holds=lambda pixels: pixels[0] < pixels[1],
+)
 
 
 def row(**items: NumberType) -> KeyType:
     """Return the type of a key that takes a list of named numbers, each with a range."""
     words = f"[{', '.join(items)}]"
-
-    def convert(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != len(items):
-            raise WrongValue(f"it should be a list of {len(items)} numbers, {words}")
-        converted = []
-        for (name, ranged), item in zip(items.items(), value, strict=True):
-            try:
-                converted.append(ranged(False).convert(item))
-            except WrongValue as wrong:
-                raise WrongValue(f"of {name} in {words} {wrong}") from None
-        return tuple(converted)
-
-    return KeyType(words, convert)
+    types = [ranged(False) for ranged in items.values()]
+    return list_of(words, f"it should be a list of {len(items)} numbers, {words}", types)
 
 
-def _corners(value: Any) -> tuple[tuple[float, float], ...]:
-    needed = "three or more corners [x, y] in px of the view are needed, such as [[100, 80], [500, 80], [300, 400]]"
-    if not isinstance(value, list) or len(value) < 3:
-        raise WrongValue(needed)
-    try:
-        corners = tuple(map(PAIR.convert, value))
-    except WrongValue as wrong:
-        raise WrongValue(f"of a corner {wrong}; {needed}") from None
-    if not sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True)):
-        raise WrongValue(f"they span no area; {needed}")
-    return corners
+PAIR = row(x=number(), y=number())
+
+
+def _span_area(corners: Sequence[tuple[float, float]]) -> bool:
+    return sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True)) != 0
 
 
 #: Polygon [[x, y], ...] with three or more corners, in px of a view.
-CORNERS = KeyType("[[x, y], ...], three or more,", _corners)
+CORNERS = list_of(
+    "[[x, y], ...], three or more,",
+    "three or more corners [x, y] in px of the view, not all on a line, are needed, such as "
+    "[[100, 80], [500, 80], [300, 400]]",
+    (PAIR, PAIR, PAIR),
+    more=True,
+    holds=_span_area,
+)
 
-
-def _transform(value: Any) -> tuple[tuple[float, ...], ...]:
-    needed = "an invertible [[a, b, x], [c, d, y]] is needed"
-    rows = value if isinstance(value, list) else []
-    if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3]:
-        raise WrongValue(f"it should be a list of 2 lists of 3 numbers; {needed}")
-    try:
-        matrix = tuple(tuple(map(ANY_NUMBER.convert, row)) for row in rows)
-    except WrongValue as wrong:
-        raise WrongValue(f"of its items {wrong}; {needed}") from None
-    if not can_be_undone(matrix, _LEAST_DETERMINANT):
-        raise WrongValue(f"it maps the whole view onto a line; its 2 x 2 part must be invertible; {needed}")
-    return matrix
-
-
+_ROW = list_of("", "three numbers are needed", (ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
 #: Invertible affine transform [[a, b, x], [c, d, y]].
-TRANSFORM = KeyType("[[a, b, x], [c, d, y]]", _transform)
+TRANSFORM = list_of(
+    "[[a, b, x], [c, d, y]]",
+    "a transform [[a, b, x], [c, d, y]] that does not map the whole view onto a line is needed",
+    (_ROW, _ROW),
+    holds=lambda rows: abs(rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]) > _LEAST_DETERMINANT,
+)
 
 
 def key_type(hint: Any, stated: KeyType | File | NumberType | None) -> KeyType | File:

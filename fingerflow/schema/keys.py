@@ -24,7 +24,6 @@ class SceneKey:
         unit: of its value, "" if it has none or the type states it.
         sample: value that the commented scene file shows where there is no default.
         label: words for the key in forms and reports; "" where its name in words says enough.
-        formerly: name of the key in older files.
     """
 
     help: str
@@ -34,7 +33,6 @@ class SceneKey:
     unit: str = ""
     sample: Any = None
     label: str = ""
-    formerly: str = ""
 
     def left_out(self) -> Any:
         """Return the value of the key where it is left out."""

@@ -103,10 +103,6 @@ class TableCheck:
             return None
 
     def _unknown(self, keys: Keys, table: SceneTable, besides: Keys) -> None:
-        for now, key in table.keys.items():
-            if isinstance(key, SceneKey) and key.formerly == keys[-1]:
-                self.refuse(keys, f"is no longer a key: it is called {now!r} now")
-                return
         names = sorted((*table.keys, *besides))
         close = difflib.get_close_matches(keys[-1], names, n=1)
         self._meant |= {(*keys[:-1], key) for key in close}
@@ -115,18 +111,13 @@ class TableCheck:
 
     def record_conflict(self, key: str, message: str) -> None:
         """Record a problem of a key that conflicts with other keys; the message quotes the value in the scene file."""
-        value: Any = self.written
-        for name in key.split("."):
-            value = value.get(name) if isinstance(value, dict) else None
-        value = self.find_value(key) if value is None else value
+        written = _find(self.written, key)
+        value = self.find_value(key) if written is None else written
         self.refuse(tuple(key.split(".")), f"{_shown(value)}: {message}")
 
     def find_value(self, key: str) -> Any:
         """Return the validated value at a dotted path such as "forces.tangential"; None if missing or invalid."""
-        value: Any = self.values
-        for name in key.split("."):
-            value = None if value is None else value.get(name)
-        return value
+        return _find(self.values, key)
 
 
 class SceneCheck(TableCheck):
@@ -162,12 +153,9 @@ class SceneCheck(TableCheck):
                 "out",
             )
         together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
-        for key, partner, remedy in (
-            ("trigger", "trigger_level", "add trigger_level = 2.5 in the channel's unit"),
-            ("trigger_level", "trigger", "add trigger = with the channel's name"),
-        ):
+        for key, partner in (("trigger", "trigger_level"), ("trigger_level", "trigger")):
             if f"forces.{key}" in self.given and f"forces.{partner}" not in self.given:
-                self.record_conflict(f"forces.{key}", f"{together}; {remedy}")
+                self.record_conflict(f"forces.{key}", f"{together}; add {partner}")
         for table, keys in PROFILES.get(str(self.profile), {}).items():
             for name, value in keys.items():
                 if self.find_value(f"{table}.{name}") != value:
@@ -266,17 +254,12 @@ class SceneCheck(TableCheck):
         # Without a second view to map, the scale suffices: it holds for any part of the frame.
         if from_view == into_view and transform not in self.given:
             return
-        if transform not in self.given and self.calibration is None:
+        if transform not in self.given:
             self.record_conflict(
-                scale,
+                scale if self.calibration is None else key,
                 "the scene has a topography view, and nothing says where its pixels are in the contact view; add "
-                "topography_to_contact = [[a, b, x], [c, d, y]], or use a file of `fingerflow calibrate --target`",
-            )
-        elif transform not in self.given:
-            self.record_conflict(
-                key,
-                "the scene has a topography view, and this calibration is the scale alone; write one that holds the "
-                "transform between the views too, with `fingerflow calibrate --target`, or remove [views.topography]",
+                "topography_to_contact = [[a, b, x], [c, d, y]], use a file of `fingerflow calibrate --target`, or "
+                "remove [views.topography]",
             )
         elif self.calibration is not None:
             for name, view in views.items():
@@ -304,6 +287,13 @@ class SceneCheck(TableCheck):
         rectangle = self.find_value(key)
         rows, columns = (None, None) if rectangle is None else (rectangle.get("rows"), rectangle.get("columns"))
         return None if rows is None or columns is None else (rows, columns)
+
+
+def _find(values: Any, key: str) -> Any:
+    """Return the value at a dotted path in nested tables; None if there is none."""
+    for name in key.split("."):
+        values = values.get(name) if isinstance(values, Mapping) else None
+    return values
 
 
 def _name(key: str) -> str:

@@ -27,10 +27,6 @@ class Kind:
         """Return the names of all views that a scene of this kind must or may have."""
         return self.views + self.optional_views
 
-    def computes(self, stage: str) -> bool:
-        """Return whether scenes of this kind run a given stage by default."""
-        return stage not in self.without
-
 
 KINDS = {
     "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),

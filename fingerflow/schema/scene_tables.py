@@ -6,7 +6,7 @@ it. The recipe of a bundle and the engines take the classes from which those of 
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -91,7 +91,7 @@ class ForceSettings:
     calibration of the force sensors.
 
     ``units`` is the unit of all forces, None for the unit in each heading. ``gain``, ``sign`` and ``offset`` are one
-    number for all or one each, normal first (`recordings.forces.newtons.Sensor`).
+    number for all or one each, normal first (`recordings.forces.newtons`).
     """
 
     file: Path = key("CSV, HDF5, .mat or TDMS", type=RECORDED, needed_by=BOTH, sample="forces.csv")
@@ -255,9 +255,8 @@ class StreamSettings:
     region: Rectangle | None = table("part of the topography view in which points are seeded, by `process` too",
         sample={"rows": [100, 400], "columns": [100, 540]}, default=None)
     update_share: float | None = key("least share of tracked points before templates are updated",
-        type=number(above=0, most=1), sample=0.8, formerly="rekey_share")
-    update_frames: int | None = key("most frames before templates are updated", type=FROM_1, sample=300,
-        formerly="rekey_frames")
+        type=number(above=0, most=1), sample=0.8)
+    update_frames: int | None = key("most frames before templates are updated", type=FROM_1, sample=300)
 
 
 @dataclass(frozen=True)
@@ -290,24 +289,13 @@ class RigSettings:
             PointSettings.window_px, "gauge_length_mm": GaugeSettings.gauge_length_mm}, default=None)
 
 
-class Views(Mapping[str, View]):
+class Views(dict[str, View]):
     """Settings in the tables [views] of a scene file: rectangle of the camera frame that each view occupies, by name of
     the view.
     """
 
-    def __init__(self, views: Mapping[str, View]) -> None:
-        self._views = dict(views)
-
-    def __getitem__(self, name: str) -> View:
-        if name not in self._views:
-            raise KeyError(f"the scene has no view {name!r}; it has {', '.join(self._views)}")
-        return self._views[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._views)
-
-    def __len__(self) -> int:
-        return len(self._views)
+    def __missing__(self, name: str) -> View:
+        raise KeyError(f"the scene has no view {name!r}; it has {', '.join(self)}")
 
     @property
     def contact(self) -> View:

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.calibration_file import Pixels, pixel_range
-from fingerflow.schema.key_types import BOTH, CORNERS, PAIR, PIXEL_RANGE, PROCESS, File, number, pair
+from fingerflow.schema.key_types import BOTH, CORNERS, PAIR, PIXEL_RANGE, PROCESS, File, WrongValue, number, row
 from fingerflow.schema.keys import key, table
+
+_POSITIVE = number(above=0)
 
 
 def negative(counts: Any, bit_depth: int | None) -> Any:
@@ -32,17 +33,17 @@ class Rectangle:
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
     """
 
-    rows: Pixels = key("rows of the frame that it covers, [first, last + 1)", type=PIXEL_RANGE, needed_by=BOTH,
+    rows: tuple[int, int] = key("rows of the frame that it covers, [first, last + 1)", type=PIXEL_RANGE, needed_by=BOTH,
         unit="px")
-    columns: Pixels = key("columns of the frame that it covers", type=PIXEL_RANGE, needed_by=BOTH, unit="px")
+    columns: tuple[int, int] = key("columns of the frame that it covers", type=PIXEL_RANGE, needed_by=BOTH, unit="px")
 
 # fmt: on
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):
             try:
-                object.__setattr__(self, name, pixel_range(name, getattr(self, name)))
-            except ValueError as error:
-                raise FingerflowError(str(error)) from None
+                object.__setattr__(self, name, PIXEL_RANGE.convert(getattr(self, name)))
+            except WrongValue as wrong:
+                raise FingerflowError(f"a view's {name} are {getattr(self, name)!r}: {wrong}") from None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -72,7 +73,8 @@ class DrawnEllipse:
     """
 
     center: tuple[float, float] = key("centre [x, y]", type=PAIR, needed_by=BOTH, unit="px")
-    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=pair(number(above=0)), needed_by=BOTH, unit="px")
+    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=row(a=_POSITIVE, b=_POSITIVE), needed_by=BOTH,
+        unit="px")
     angle: float = key("of the axis a, from x towards y", 0.0, unit="rad")
 
 

@@ -19,7 +19,7 @@ import torch
 
 from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError, is_out_of_memory
-from fingerflow.pipeline.run import process_to_file
+from fingerflow.pipeline.run import compute
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.cache_keys import Keys, all_codes, describe_file, trial_keys
 from fingerflow.study.manifest import Manifest
@@ -69,7 +69,7 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
                 row, curves = measure(result)
         else:
             # Overwrite, since an existing file of this name may be damaged and not be recognised as a result.
-            process_to_file(path, scene, earlier=earlier, overwrite=True)
+            compute(scene, path, earlier=earlier, overwrite=True)
             row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(describe_file(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)

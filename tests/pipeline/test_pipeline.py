@@ -20,7 +20,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import OUTPUTS, VARIABLES
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.recordings import Recording
-from fingerflow.recordings.frames.recording import FileRecording
+from fingerflow.recordings.frames.recording import FrameFile
 from fingerflow.results.result import load_result, save_result
 from fingerflow.schema.scene import Scene, Views
 from fingerflow.schema.variables import SLIP, by_name
@@ -145,8 +145,8 @@ def test_what_cannot_be_computed_is_named(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FileRecording, "_read_frame", None)
-    monkeypatch.setattr(FileRecording, "mapped", None)
+    monkeypatch.setattr(FrameFile, "read", None)
+    monkeypatch.setattr(Recording, "mapped", None)
     forces = process(scene, ["normal_force"])
     made = {"load_ratio", "force_angle", "tangential_direction"}
     assert set(forces.data_vars) == {"normal_force", "tangential_force"} | made

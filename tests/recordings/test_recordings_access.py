@@ -6,7 +6,7 @@ import tifffile
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.recordings.frames.recording import FileRecording
+from fingerflow.recordings.frames.recording import FrameFile
 
 FRAMES = np.random.default_rng(5).integers(0, 65536, (11, 4, 6)).astype(np.uint16)
 
@@ -21,13 +21,13 @@ def path(tmp_path):
 def reads(monkeypatch):
     """Return a list that collects the numbers of the frames that are read, in order."""
     numbers: list[int] = []
-    original = FileRecording._decode
+    original = FrameFile.decode
 
     def counted(self, index):
         numbers.append(index)
         return original(self, index)
 
-    monkeypatch.setattr(FileRecording, "_decode", counted)
+    monkeypatch.setattr(FrameFile, "decode", counted)
     return numbers
 
 
@@ -49,7 +49,7 @@ def test_no_frame_is_read_before_it_is_asked_for(path, reads):
 def test_frames_that_fit_into_memory_are_decoded_once(tmp_path, reads):
     tifffile.imwrite(tmp_path / "frames.tif", FRAMES, compression="zlib")
     recording = open_recording(tmp_path / "frames.tif")
-    recording.kept_bytes = 3 * FRAMES[0].nbytes
+    recording.file.kept_bytes = 3 * FRAMES[0].nbytes
     for _ in range(2):
         np.testing.assert_array_equal(recording[:5].read(), FRAMES[:5])
     assert reads == [0, 1, 2, 3, 4, 3, 4]

@@ -92,7 +92,7 @@ def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path
     small = open_recording(path)
     small[::-1].read()
     assert len(decoded) == 3 * (20 + 15 + 10 + 5)
-    assert len(small._cache) <= 5
+    assert len(small.file._cache) <= 5
 
 
 @pytest.mark.parametrize(("name", "codec"), [("a.avi", "rawvideo"), ("a.mkv", "ffv1")])

@@ -130,7 +130,7 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         raise NoRoomError("the disk is full")
 
     with monkeypatch.context() as patched:
-        patched.setattr(worker, "process_to_file", full)
+        patched.setattr(worker, "compute", full)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert {entry.name for entry, *_ in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
 

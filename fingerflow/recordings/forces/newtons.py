@@ -7,31 +7,30 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
+from fingerflow.schema.scene_tables import ForceSettings
 
 _CORRECTION = 2.0  # largest plausible gain for a force that is in N already, which is then a correction
 _CHANGES = 0.1  # N, change of a force within the tare above which a warning is given
 
 
-# Calibration of a force sensor, force in N = sign x gain x (reading - zero), where zero is the reading without a load:
-# gain in N per unit of the reading, which is V for a channel in V, else N; sign, -1 if the reading falls as the force
-# grows; offset, the reading without load in the channel's unit in the file, None for 0 or with a tare; and tare, an
-# interval in s from the trigger without contact, whose mean reading is the zero.
-Sensor = tuple[float | None, float, float | None, tuple[float, float] | None]
+def to_newtons(forces: Forces, settings: ForceSettings, columns: Mapping[str, str | int]) -> Forces:
+    """Return `forces` with the channels named in `columns` converted from sensor readings to newtons.
 
-
-def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
-    """Return `forces` with the channels named in `sensors` converted from sensor readings to newtons.
+    The force is sign x gain x (reading - zero), where zero is the reading without a load: the offset, in the unit of
+    the file, or the mean reading within the tare.
 
     Args:
         forces: from `open_forces`, aligned: times are from the trigger.
-        sensors: by channel.
-        columns: names of these channels in the file, for messages.
+        settings: calibration of the sensors: one value for all, or one for each channel.
+        columns: names of the channels in the file, for messages.
 
     Raises FingerflowError for a channel in V without a gain, and a tare without a sample.
     """
     values, units = dict(forces.channels), dict(forces.units)
     warnings = list(forces.warnings)
-    for name, (gain, sign, offset, tare) in sensors.items():
+    stated = settings.gain, settings.sign, settings.offset
+    for number, name in enumerate(columns):
+        gain, sign, offset = (value[number] if isinstance(value, tuple) else value for value in stated)
         if units[name] != "N" and gain is None:
             raise FingerflowError(
                 f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in {units[name]}, not in "
@@ -43,11 +42,11 @@ def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[s
                 f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in N already, and "
                 f'[forces] gain = {gain:g} multiplies it: leave gain out, or give units = "V"'
             )
-        factor = sign * (1.0 if gain is None else gain)
+        factor = (sign or 1.0) * (1.0 if gain is None else gain)
         readings = forces.channels[name]
         zero = 0.0 if offset is None else offset * forces.scales.get(name, 1.0)
-        if tare is not None:
-            first, last = tare
+        if settings.tare is not None:
+            first, last = settings.tare
             resting = readings[(forces.times >= first) & (forces.times <= last)]
             resting = resting[np.isfinite(resting)]
             if not resting.size:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, surplus
+from fingerflow.recordings.frames.recording import Description, FrameFile, Frames, Recording, surplus
 
 CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
 BITMAP_INFO_HEADER = struct.Struct("<IiiHHIIiiII")
@@ -50,7 +50,7 @@ SETUP_FIELDS = {
 LINEAR_OF_COMPANDED = np.array(Path(__file__).with_name("cine_companding.txt").read_text("ascii").split(), np.uint16)
 
 
-def open_frames(path: Path) -> FileRecording:
+def open_frames(path: Path) -> Recording:
     """Open a Phantom recording, reading headers and image offsets only; raise FingerflowError for colour or damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
@@ -67,7 +67,7 @@ def open_frames(path: Path) -> FileRecording:
         raise FingerflowError(f"{path}: ends after {size} bytes, before the table of its frames; copy it again")
     header = data[:offsets_at].data
     table = np.frombuffer(data, "<i8", min(count, (size - offsets_at) // 8), offsets_at)
-    setup = _Setup(header[setup_at:])
+    setup = _setup(header[setup_at:])
     if bytes(header[setup_at + 140 : setup_at + 142]) != b"ST":
         raise FingerflowError(
             f"{path}: SETUP, with rate and bit depth, is not at byte {setup_at}, as its header says; copy it again"
@@ -109,7 +109,7 @@ def open_frames(path: Path) -> FileRecording:
         warnings=(*warnings, *complaints, *(surplus(behind, layout.image_bytes, count) if whole == count else ())),
         metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),
     )
-    return FileRecording(description, partial(_frame, path, data, table[:whole], layout))
+    return Recording(description, FrameFile(description, partial(_frame, path, data, table[:whole], layout)))
 
 
 def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
@@ -153,23 +153,19 @@ def _unsigned(data: NDArray[np.uint8]) -> int:
     return int.from_bytes(data.tobytes(), "little")
 
 
-class _Setup:
-    """Fields of the SETUP structure of a `.cine` file, by name; None for fields that the file does not have."""
-
-    def __init__(self, data: memoryview) -> None:
-        self._data = data
-        self._length = 144 if len(data) >= 144 else 0
-        self._length = self["Length"] or 0
-
-    def __getitem__(self, name: str) -> Any:
-        offset, code = SETUP_FIELDS[name]
-        if offset + struct.calcsize(code) > min(self._length, len(self._data)):
-            return None
-        (value,) = struct.unpack_from(code, self._data, offset)
-        return value.split(b"\0")[0].decode("latin-1") if isinstance(value, bytes) else value
+def _setup(data: memoryview) -> dict[str, Any]:
+    """Return the fields of the SETUP structure of a `.cine` file, by name; None for fields that it does not have."""
+    offset, code = SETUP_FIELDS["Length"]
+    length = struct.unpack_from(code, data, offset)[0] if len(data) >= offset + struct.calcsize(code) else 0
+    fields = {}
+    for name, (offset, code) in SETUP_FIELDS.items():
+        there = offset + struct.calcsize(code) <= min(length, len(data))
+        value = struct.unpack_from(code, data, offset)[0] if there else None
+        fields[name] = value.split(b"\0")[0].decode("latin-1") if isinstance(value, bytes) else value
+    return fields
 
 
-def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup) -> _CineLayout:
+def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: dict[str, Any]) -> _CineLayout:
     _, width, signed_height, _, bits, packing, image_bytes, *_ = bitmap
     height = abs(signed_height)
     # biCompression states the kind of pixels, whatever the sensor's colour filter. 2 is uninterpolated colour, 1 is
@@ -283,7 +279,9 @@ def _times(
     return stamps, rate, warnings
 
 
-def _metadata(setup: _Setup, layout: _CineLayout, first_number: int, exposures: memoryview | None) -> dict[str, Any]:
+def _metadata(
+    setup: dict[str, Any], layout: _CineLayout, first_number: int, exposures: memoryview | None
+) -> dict[str, Any]:
     exposure = np.frombuffer(exposures, "<u4", 1)[0] / 2.0**32 if exposures else (setup["ShutterNs"] or 0) * 1e-9
     levels = {"black_level": setup["BlackLevel"], "white_level": setup["WhiteLevel"]}
     if layout.compression == PACKED_10:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import SAME_RATE, TO_SECONDS
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
+from fingerflow.recordings.frames.recording import Description, FrameFile, Frames, Recording, grey_dtype
 from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_input, read_whole
 from fingerflow.recordings.guard.file_checks import reading
 
@@ -20,7 +20,7 @@ _TIMES = ("time", "times", "timestamp", "timestamps", "t")  # names of data sets
 NEVER_WRITTEN = "was never written"
 
 
-def open_frames(path: Path, dataset: str = "") -> FileRecording:
+def open_frames(path: Path, dataset: str = "") -> Recording:
     """Open the frames of an HDF5 file: the data set `dataset`, or the only one with three dimensions.
 
     Attributes are read from the data set, else from the groups that contain it. HDF5 returns its fill value for chunks
@@ -33,7 +33,7 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
         file = opened.enter_context(open_input(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
         description, frames = _describe(path, file, dataset)
         opened.pop_all()
-    return FileRecording(description, partial(_frame, frames), file.close)
+    return Recording(description, FrameFile(description, partial(_frame, frames), file.close))
 
 
 def _frame(frames: h5py.Dataset, index: int) -> Frames:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FrameFile, Frames, Recording
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.recordings.guard.claimed_sizes import impossible_picture
 from fingerflow.schema.text_file import check_file
@@ -27,7 +27,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
 
-def open_frames(path: Path) -> FileRecording:
+def open_frames(path: Path) -> Recording:
     """Open a folder of images as a recording, or a single image as a recording of one frame.
 
     Only the first image is read, for its size; others of another size or in colour are refused when they are read. If a
@@ -57,7 +57,7 @@ def open_frames(path: Path) -> FileRecording:
         orientation="1" if turned is None else str((turned[1] or turned[2])[0]),
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
-    return FileRecording(description, partial(_read_numbered, files, description))
+    return Recording(description, FrameFile(description, partial(_read_numbered, files, description)))
 
 
 def _read_numbered(files: Sequence[Path | None], first: Description, index: int) -> Frames:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, surplus
+from fingerflow.recordings.frames.recording import Description, FrameFile, Frames, Recording, surplus
 from fingerflow.schema.text_file import check_file
 
 HEADERS = (".cihx", ".cih")
@@ -38,7 +38,7 @@ XML_PLACES = {
 }
 
 
-def open_frames(path: Path) -> FileRecording:
+def open_frames(path: Path) -> Recording:
     """Open a Photron recording, given the path of either the pixel file or the header file."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _find_partner(path, HEADERS, "its header, a .cih or .cihx file")
@@ -93,8 +93,8 @@ def open_frames(path: Path) -> FileRecording:
     )
     stored = np.memmap(pixels, np.uint8, "r", 0, (whole, frame_bytes))
     if bits == 12 or shift:
-        return FileRecording(description, partial(_decoded, stored, bits, shift, shape))
-    return FileRecording(description, stored.view(dtype.newbyteorder("<")).reshape(whole, *shape))
+        return Recording(description, FrameFile(description, partial(_decoded, stored, bits, shift, shape)))
+    return Recording(description, FrameFile(description, stored.view(dtype.newbyteorder("<")).reshape(whole, *shape)))
 
 
 def _decoded(stored: NDArray[np.uint8], bits: int, shift: int, shape: tuple[int, int], index: int) -> Frames:

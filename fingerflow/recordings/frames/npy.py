@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype, surplus
+from fingerflow.recordings.frames.recording import Description, FrameFile, Recording, grey_dtype, surplus
 from fingerflow.recordings.guard.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
-def open_frames(path: Path) -> FileRecording:
+def open_frames(path: Path) -> Recording:
     """Open the frames of a NumPy file, reading the header only; raise FingerflowError unless shape and type suit grey
     frames.
     """
@@ -48,4 +48,4 @@ def open_frames(path: Path) -> FileRecording:
         dtype=dtype,
         warnings=surplus(stored - count * frame_bytes, frame_bytes, count),
     )
-    return FileRecording(description, frames)
+    return Recording(description, FrameFile(description, frames))

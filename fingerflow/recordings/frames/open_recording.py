@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import FileRecording, possible_rate
+from fingerflow.recordings.frames.recording import Recording, possible_rate
 from fingerflow.recordings.guard.file_checks import reading
 from fingerflow.schema.text_file import check_file
 
@@ -23,7 +23,7 @@ READERS = {
 _READER_OF = {suffix: reader for reader, suffixes in READERS.items() for suffix in suffixes}
 
 
-def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -> FileRecording:
+def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -> Recording:
     """Open a recording of any supported format without reading frames.
 
     path: a Phantom `.cine`, either file of a Photron `.mraw` / `.cih` pair, a TIFF stack, a video, an HDF5 file
@@ -54,7 +54,7 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         check_file(location)
     module = import_module(f"fingerflow.recordings.frames.{reader}")
     with reading(location, f"a recording ({reader})"):
-        recording: FileRecording = module.open_frames(location, **({"dataset": inside} if inside else {}))
+        recording: Recording = module.open_frames(location, **({"dataset": inside} if inside else {}))
     if frame_rate is not None:
         recording.replace_rate(frame_rate)
     return recording

@@ -14,14 +14,22 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype, surplus
+from fingerflow.recordings.frames.recording import (
+    DamagedFrame,
+    Description,
+    FrameFile,
+    Frames,
+    Recording,
+    grey_dtype,
+    surplus,
+)
 from fingerflow.recordings.guard.file_checks import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of lossy compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
-def open_frames(path: Path) -> FileRecording:
+def open_frames(path: Path) -> Recording:
     """Open a TIFF stack, reading the page tags only; raise FingerflowError unless all pages are grey frames of one
     shape and type.
 
@@ -41,9 +49,11 @@ def open_frames(path: Path) -> FileRecording:
             file = opened.enter_context(tifffile.TiffFile(path))
             description, frames = _describe(path, file, _check_chain(path, file), complaints)
             if isinstance(frames, np.ndarray):
-                return FileRecording(description, frames)
+                return Recording(description, FrameFile(description, frames))
             opened.pop_all()
-            return FileRecording(description, partial(_page, frames, description.frame_shape), file.close)
+            return Recording(
+                description, FrameFile(description, partial(_page, frames, description.frame_shape), file.close)
+            )
     finally:
         logger.removeFilter(collect)
 

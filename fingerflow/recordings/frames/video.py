@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FrameFile, Frames, Recording
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.claimed_sizes import MOST_PIXELS
 from fingerflow.recordings.guard.file_checks import reading
@@ -39,7 +39,7 @@ CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}
 _LENIENT: dict[str, Any] = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
 
 
-def open_frames(path: Path) -> VideoRecording:
+def open_frames(path: Path) -> Recording:
     """Open a video and index all frames without decoding; raise FingerflowError if FFmpeg cannot read the file.
 
     Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
@@ -111,11 +111,11 @@ def open_frames(path: Path) -> VideoRecording:
         orientation=orientation,
         metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
     )
-    return VideoRecording(description, pixels, index)
+    return Recording(description, VideoFile(description, pixels, index))
 
 
-class VideoRecording(FileRecording):
-    """Recording of a video file, decoded from the key frame before a requested frame, with a cache of decoded frames.
+class VideoFile(FrameFile):
+    """Open video file, decoded from the key frame before a requested frame, with a cache of decoded frames.
 
     Reading backwards decodes each group of pictures once if it fits into `CACHE_BYTES`.
     """
@@ -135,11 +135,11 @@ class VideoRecording(FileRecording):
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
-    def _decode(self, index: int) -> Frames:
+    def decode(self, index: int) -> Frames:
         if index not in self._cache:
             self._decode_to(index)
-        if index in self._unreadable:
-            raise DamagedFrame(self._unreadable[index])
+        if index in self.unreadable:
+            raise DamagedFrame(self.unreadable[index])
         return self._cache[index].copy()
 
     def _decode_to(self, target: int) -> None:
@@ -174,9 +174,9 @@ class VideoRecording(FileRecording):
 
     def _mark_damaged(self, number: int, reason: str) -> None:
         """Mark a frame as unreadable, and with it all frames that may be decoded from this frame."""
-        self._unreadable.setdefault(number, reason)
+        self.unreadable.setdefault(number, reason)
         for dependent in self._dependent_frames(number):
-            self._unreadable.setdefault(dependent, f"is made from frame {number}, which {reason}")
+            self.unreadable.setdefault(dependent, f"is made from frame {number}, which {reason}")
             self._cache.pop(dependent, None)
 
     def _dependent_frames(self, number: int) -> range:
@@ -187,7 +187,7 @@ class VideoRecording(FileRecording):
         """
         keys = self._index.keys
         position = bisect_right(keys, number)
-        return range(min(self._next, number + 1), keys[position] if position < len(keys) else len(self))
+        return range(min(self._next, number + 1), keys[position] if position < len(keys) else self._index.count)
 
     def _restart(self, key: int) -> None:
         if self._container is None or key == 0:
@@ -219,7 +219,7 @@ class VideoRecording(FileRecording):
                     frames = packet.decode()
                 if errors and number is not None and number >= key:
                     for affected in (number, *self._dependent_frames(number)):
-                        self._doubtful.setdefault(affected, errors[0])
+                        self.doubtful.setdefault(affected, errors[0])
             except (av.FFmpegError, ValueError, MemoryError) as error:
                 if self._index.stamps is None:
                     raise FingerflowError(

@@ -11,7 +11,7 @@ import xarray as xr
 from fingerflow import process
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.recordings.frames.recording import FileRecording
+from fingerflow.recordings.frames.recording import Recording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS
 from tests.small_trials import SPOILED, scene_beside, warnings_of
@@ -88,6 +88,6 @@ def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) ->
 
 
 def test_errors_that_the_decoder_got_over_are_told(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FileRecording, "doubtful", {3: "error while decoding MB 3 0", 40: "no frame!"})
+    monkeypatch.setattr(Recording, "doubtful", {3: "error while decoding MB 3 0", 40: "no frame!"})
     said = warnings_of(process(clean.scene, ["frame_status"]))
     assert "the decoder reported errors at 3, 40 (error while decoding MB 3 0); their pixels may be wrong" in said

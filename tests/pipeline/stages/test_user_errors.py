@@ -9,7 +9,7 @@ import pytest
 from fingerflow import process
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import FileRecording
+from fingerflow.recordings.frames.recording import Recording
 from fingerflow.results.result import load_result, save_result
 from fingerflow.results.tables import export_table
 from fingerflow.synthetic import rebuild_scene
@@ -61,7 +61,7 @@ def test_frames_that_cannot_be_processed_are_named(
     empty = np.load(press / "empty.npy").round().astype(np.uint8)
     with pytest.raises(FingerflowError, match=r"empty\.npy: the background has 8 bit, .*frames\.npy 16.*same camera"):
         process(changed(frames=frames.astype(np.uint16) * 16, empty=empty), AREAS)
-    monkeypatch.setattr(FileRecording, "__len__", lambda _: 0)  # like a video without frames
+    monkeypatch.setattr(Recording, "__len__", lambda _: 0)  # like a video without frames
     with pytest.raises(FingerflowError, match=r"frames\.npy has no frame"):
         process(changed(), AREAS)
 
@@ -126,12 +126,12 @@ def test_a_damaged_frame_of_the_background_does_not_count(changed: Change, press
 
 def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each recording and its background are closed after processing, so that one process can handle thousands."""
-    closed, close = set[str](), FileRecording.close
+    closed, close = set[str](), Recording.close
 
-    def noted(recording: FileRecording) -> None:
+    def noted(recording: Recording) -> None:
         closed.add(recording.path.name)
         close(recording)
 
-    monkeypatch.setattr(FileRecording, "close", noted)
+    monkeypatch.setattr(Recording, "close", noted)
     process(changed(), AREAS)
     assert closed == {"frames.npy", "empty.npy", "dark.npy"}

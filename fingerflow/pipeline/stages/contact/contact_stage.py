@@ -260,7 +260,9 @@ class ContactStage(Stage):
         step = 2 * cell_px  # px between samples, each of which is read from a memory line of its own
         sampled = step**2 * np.count_nonzero(masks[:, ::step, ::step] & away[::2, ::2], axis=(1, 2))
         for k in ((self._second_px > 0) & (4 * sampled > self._second_px * view_faults.DENSITY)).nonzero()[0]:
-            outside = view_faults.in_cells(masks[k], view_faults.outside_region(region[k], cell_px, radius_px), cell_px)
+            rows, columns = masks[k].shape
+            cells = view_faults.outside_region(region[k], cell_px, radius_px)
+            outside = masks[k] & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns]
             index = indices[k]
             count = int(outside.sum())
             self._outside[index] = count * pixel_mm2[k]

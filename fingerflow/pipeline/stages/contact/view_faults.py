@@ -31,7 +31,6 @@ _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searche
 # Least relative slope of the light at edges of the glass, 1/px, and least number of compared pixels for a shift.
 _EDGE, _EDGE_PX = 0.02, 50
 _BETTER = 0.5  # ratio of the residuals with and without the shift, below which the glass has moved
-_SIDE = 16  # px, side of the blocks over which light is averaged
 _UNEVEN = 0.05  # least relative change of light that is reported
 
 
@@ -69,12 +68,6 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterato
 def outside_region(region: Mask, cell_px: int, radius_px: int) -> Mask:
     """Return the cells, of `cell_px` px, that are further than `radius_px` from those of the gross contact `region`."""
     return cv2.dilate(region.astype(np.uint8), _disc(-(-radius_px // cell_px))) == 0
-
-
-def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
-    """Return the part of the real contact mask `touching` that lies in these `cells` of `cell_px` px."""
-    rows, columns = touching.shape
-    return touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns]
 
 
 def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_mm2: float, frame: int) -> Iterator[str]:
@@ -206,30 +199,18 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     if causes := [*check_background_lines(light)] or [*moved]:
         return causes[0]
     share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
-    rows, columns = (side // _SIDE for side in share.shape)
-    cut = share[: rows * _SIDE, : columns * _SIDE].reshape(rows, _SIDE, columns, _SIDE)
-    finite = np.isfinite(cut).all(axis=(1, 3))
-    blocks = np.where(finite, np.nan_to_num(cut).mean((1, 3)), np.nan)
-    y, x = np.mgrid[:rows, :columns]
-    terms = np.stack([np.ones(finite.sum()), x[finite] / columns - 0.5, y[finite] / rows - 0.5], 1)
-    values, keep = blocks[finite], np.ones(finite.sum(), dtype=bool)
-    if len(values) < 16:
-        return ""
-    for _ in range(4):  # refit without dark objects, which are outliers of the plane
-        plane = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
-        rest = values - terms @ plane
-        keep = np.abs(rest) < max(3 * float(np.std(rest[keep])), 0.01)
-    causes = []
-    across = float(np.hypot(plane[1], plane[2]))
-    fall = across / (float(plane[0]) + across / 2)
+    level = float(np.nanmedian(share)) if np.isfinite(share).any() else 1.0
+    # The middles of two halves of a view are half of its side apart.
+    halves = [[float(np.nanmedian(half)) for half in np.array_split(share, 2, axis)] for axis in (0, 1)]
+    across = 2 * float(np.linalg.norm(np.diff(halves)))
+    fall = across / (level + across / 2)
     if fall > _UNEVEN:
-        causes.append(
+        return (
             f"the light falls by {fall:.0%} across the view against the background: the lamp was moved or warms up, so "
             f"record the empty glass again"
         )
-    elif abs(plane[0] - 1) > _UNEVEN:
-        causes.append(f"the whole view has {plane[0]:.0%} of the background's light")
-    dark = float((rest < -_UNEVEN).mean())
+    causes = [f"the whole view has {level:.0%} of the background's light"] if abs(level - 1) > _UNEVEN else []
+    dark = float((share < level - _UNEVEN).mean())
     if dark > 0.002:
         causes.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
     return "; ".join(causes)

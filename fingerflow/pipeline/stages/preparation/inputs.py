@@ -175,7 +175,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
     chosen = _device("cpu" if engine == "onnx" else device)
     settings = scene.recording
     recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
-    recording.kept_bytes = _KEPT_BYTES
+    recording.file.kept_bytes = _KEPT_BYTES
     if not len(recording):
         raise FingerflowError(f"{settings.frames} has no frame; copy it again, or name another recording")
     for name in ("first_frame", "trigger_frame"):

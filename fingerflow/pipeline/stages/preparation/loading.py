@@ -1,6 +1,5 @@
 """Compute the forces at the times of the frames: aligned to the trigger, in newtons and low-pass filtered."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings import Forces, open_forces
-from fingerflow.recordings.forces.newtons import Sensor, to_newtons
+from fingerflow.recordings.forces.newtons import to_newtons
 from fingerflow.schema.scene import ForceSettings
 from fingerflow.schema.variables import LOADING
 
@@ -62,10 +61,10 @@ class LoadingStage(Stage):
                     f"forces are aligned to the trigger {settings.trigger!r}, and nothing says in which frame it came: "
                     "frame 0 is taken; give [recording] trigger_frame"
                 )
-        forces = to_newtons(forces, _sensors(settings, tuple(names)), names)
-        extremes = _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
+        forces = to_newtons(forces, settings, names)
         values = forces.resample(inputs.times)
         self.warnings.extend(forces.warnings)
+        self._check(settings.file, forces, names["normal_force"], values["normal_force"])
         for name, column in names.items():
             unknown = int(np.isnan(forces.channels[name]).sum())
             if unknown:
@@ -73,7 +72,7 @@ class LoadingStage(Stage):
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
                     f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
-        self._check_frames(settings.file, values["normal_force"], *extremes)
+        self.warnings.extend(plausibility.check_force(values["normal_force"]))
         if travel:
             self.series["actuator_position"] = 1e3 * values["actuator_position"]
         normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
@@ -87,17 +86,40 @@ class LoadingStage(Stage):
             self.series |= {"tangential_force": tangential, "tangential_direction": direction}
             self.series |= {"load_ratio": ratio, "force_angle": np.arctan(ratio)}
 
-    def _check_frames(self, file: Path, normal: Series, lowest: float, highest: float) -> None:
-        """Warn of implausibly large forces, and of recordings that begin when the finger already presses."""
-        self.warnings.extend(plausibility.check_force(normal))
-        if self.inputs.scene.kind == "slip" or not np.isfinite(normal).any():
-            return
-        least, limit = float(np.nanmin(normal)), max(_LEAST_OFFSET, _OFFSET_SHARE * highest)
-        if lowest < limit < least:
+    def _check(self, file: Path, forces: Forces, column: str | int, of_frames: Series) -> None:
+        """Check that forces are plausible for a pressing finger: positive, in newtons, and 0 without contact, also in
+        the frames (`of_frames`).
+
+        Raises FingerflowError for a normal force with the wrong sign; warns of an offset, of recordings that begin when
+        the finger already presses, and of a trigger channel in N.
+        """
+        if forces.trigger is not None and forces.units[forces.trigger] == "N":
             self.warnings.append(
-                f"{file}: the normal force falls to {lowest:.2g} N, but not below {least:.2g} N in the frames that "
-                "count: they begin in contact. Lower recording.first_frame, or check recording.trigger_frame and "
-                "forces.trigger_level"
+                f"{file}: the trigger {forces.trigger!r} is in N, as a force is; is it the right channel?"
+            )
+        normal, of_frames = (force[np.isfinite(force)] for force in (forces.channels["normal_force"], of_frames))
+        if not normal.size:
+            return
+        # Use quantiles, since the outer hundredth at either end may be noise or a shock.
+        lowest, highest = np.quantile(normal, (0.01, 0.99))
+        if -lowest > max(_LEAST_OFFSET, 3 * highest):
+            raise FingerflowError(
+                f"{file}: the normal force {column!r} lies between {lowest:.3g} and {highest:.3g} N: pressing must be "
+                "positive; give [forces] sign = -1 in the scene"
+            )
+        limit = max(_LEAST_OFFSET, _OFFSET_SHARE * highest)
+        if self.inputs.scene.kind == "slip":
+            return
+        if lowest > limit:
+            self.warnings.append(
+                f"{file}: the normal force {column!r} is never below {lowest:.3g} N; if the finger was off the glass "
+                "at some time, that is the sensor's offset: give [forces] offset or tare = [t0, t1] in the scene"
+            )
+        elif of_frames.size and lowest < limit < of_frames.min():
+            self.warnings.append(
+                f"{file}: the normal force falls to {lowest:.2g} N, but not below {of_frames.min():.2g} N in the "
+                "frames that count: they begin in contact. Lower recording.first_frame, or check "
+                "recording.trigger_frame and forces.trigger_level"
             )
 
 
@@ -106,40 +128,3 @@ def _channels(settings: ForceSettings) -> dict[str, str | int]:
     tangential = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
     named = [column for column in tangential if column is not None]
     return {"normal_force": settings.normal, **dict(zip(_TANGENTIAL, named, strict=False))}
-
-
-def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sensor]:
-    """Return the calibration of each force channel: gain, sign, offset and tare."""
-    stated = (settings.gain, settings.sign, settings.offset)
-    by_channel = [values if isinstance(values, tuple) else (values,) * len(forces) for values in stated]
-    of_each = zip(forces, *by_channel, strict=False)
-    return {name: (gain, sign or 1.0, offset, settings.tare) for name, gain, sign, offset in of_each}
-
-
-def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> tuple[float, float]:
-    """Check that forces are plausible for a pressing finger: positive, in newtons, and 0 without contact.
-
-    Return the quantiles 0.01 and 0.99 of the normal force, N. Raises FingerflowError for a normal force with the wrong
-    sign; warns of an offset and of a trigger channel in N.
-    """
-    if forces.trigger is not None and forces.units[forces.trigger] == "N":
-        forces.warnings.append(
-            f"{file}: the trigger {forces.trigger!r} is in N, as a force is; is it the right channel?"
-        )
-    normal = forces.channels["normal_force"]
-    normal = normal[np.isfinite(normal)]
-    if not normal.size:
-        return np.nan, np.nan
-    # Use quantiles, since the outer hundredth at either end may be noise or a shock.
-    lowest, highest = np.quantile(normal, (0.01, 0.99))
-    if -lowest > max(_LEAST_OFFSET, 3 * highest):
-        raise FingerflowError(
-            f"{file}: the normal force {names['normal_force']!r} lies between {lowest:.3g} and {highest:.3g} N: "
-            "pressing must be positive; give [forces] sign = -1 in the scene"
-        )
-    if rests and lowest > max(_LEAST_OFFSET, _OFFSET_SHARE * highest):
-        forces.warnings.append(
-            f"{file}: the normal force {names['normal_force']!r} is never below {lowest:.3g} N; if the finger was off "
-            "the glass at some time, that is the sensor's offset: give [forces] offset or tare = [t0, t1] in the scene"
-        )
-    return float(lowest), float(highest)

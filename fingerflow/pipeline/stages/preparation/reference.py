@@ -46,21 +46,20 @@ def requested_frame(scene: Scene, times: NDArray[np.float64]) -> int | None:
     setting, first = scene.fields.reference, scene.recording.first_frame
     seconds = parse_seconds(setting)
     if seconds is not None:
-        step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        if not times[0] - step / 2 <= seconds <= times[-1] + step / 2:
-            raise FingerflowError(
-                f"{scene.path}: fields.reference is {setting!r}, and the frames that count last from {times[0]:g} to "
-                f"{times[-1]:g} s from the trigger; give a time between"
-            )
-        return int(np.argmin(np.abs(times - seconds)))
-    if isinstance(setting, int):
-        if not 0 <= setting - first < len(times):
-            raise FingerflowError(
-                f"{scene.path}: fields.reference is {setting}, and the frames that count are {first} to "
-                f"{first + len(times) - 1}; give one of them"
-            )
-        return setting - first
-    return None
+        half_step = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.0
+        within = times[0] - half_step <= seconds <= times[-1] + half_step
+        frame = int(np.argmin(np.abs(times - seconds)))
+    elif isinstance(setting, int):
+        frame = setting - first
+        within = 0 <= frame < len(times)
+    else:
+        return None
+    if not within:
+        raise FingerflowError(
+            f"{scene.path}: fields.reference is {setting!r}, and the frames that count are {first} to "
+            f"{first + len(times) - 1}, from {times[0]:g} to {times[-1]:g} s after the trigger; give one of them"
+        )
+    return frame
 
 
 def resolve_reference(

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.slip.skin_flow import FlowResponse, SkinFlow
+from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow, flow_response
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
@@ -102,7 +102,7 @@ class DenseFlowSlipStage(SlipStage):
         mask = self._pixel_mask(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
         self._flow = SkinFlow(image, mask, quarter / self.inputs.geometry.topography_mm_per_px)
-        return FlowResponse(self._flow.template, image, mask, self.inputs.geometry.topography_mm_per_px)
+        return flow_response(self._flow.template, image, mask, self.inputs.geometry.topography_mm_per_px)
 
     def _topography(self, frames: NDArray[Any] | None) -> Tensor:
         view = self.inputs.scene.views.topography

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask
@@ -175,14 +176,15 @@ def _nearest_displacement(positions: Field, moved: Field, shape: tuple[int, ...]
     return of_label[label]
 
 
-class FlowResponse:
-    """Displacement that dense optical flow measures near a slip border, where the true displacement is 0 up to the
-    border and increases linearly beyond it (a ramp).
+def flow_response(template: FlowTemplate, image: Tensor, mask: Mask, mm_per_px: float) -> RampResponse:
+    """Return the displacement that dense optical flow measures near a slip border, where the true displacement is 0 up
+    to the border and increases linearly beyond it (a ramp), as a function of the signed distance, mm, outside of it.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves
     with it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px
-    would, and overshoots a little beside it.
+    would, and overshoots a little beside it. Farther inside than was measured the displacement is 0; farther outside
+    the error is that of the last measured distance.
 
     Args:
         template: of ``image``.
@@ -190,26 +192,21 @@ class FlowResponse:
         mask: (H, W) bool of the skin.
         mm_per_px: of the picture.
     """
+    depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
+    beyond = (border - depth).astype(np.float32)  # px, distance beyond the border
+    growth = _LARGEST_PX / border
+    length = (growth * np.maximum(beyond, 0)).astype(np.float32)
+    distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
+    excess = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
+    measured = np.isfinite(excess)
+    blur = excess[measured] / growth * mm_per_px
+    distances = distances[measured] * mm_per_px
 
-    def __init__(self, template: FlowTemplate, image: Tensor, mask: NDArray[np.bool_], mm_per_px: float) -> None:
-        depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-        border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
-        beyond = (border - depth).astype(np.float32)  # px, distance beyond the border
-        growth = _LARGEST_PX / border
-        length = (growth * np.maximum(beyond, 0)).astype(np.float32)
-        distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
-        excess = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
-        measured = np.isfinite(excess)
-        blur = excess[measured] / growth
-        self._distances, self._blur = distances[measured] * mm_per_px, blur * mm_per_px
+    def response(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(distance, 0) + (np.interp(distance, distances, blur, left=0.0) if len(blur) else 0.0)
 
-    def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the displacement, mm, that dense flow measures at a signed `distance`, mm, outside the stick border.
-
-        Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
-        """
-        blur = np.interp(distance, self._distances, self._blur, left=0.0) if len(self._blur) else 0.0
-        return np.maximum(distance, 0) + blur
+    return response
 
 
 def _blur(

@@ -6,8 +6,6 @@ in which points were seeded there. So skin without texture is not searched repea
 of its largest contact, has no new skin.
 """
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -19,22 +17,6 @@ LEFT = 0.1  # share of tracked points below which their skin counts as gone
 _STRIDE = 0.25  # windows, distance between samples upstream of the contact
 Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
-
-
-class SeededPoints(NamedTuple):
-    """Positions of all tracked points in the current frame, and in the frame in which each was seeded.
-
-    Attributes:
-        position: (N, 2) px of the topographic view, measured or expected position.
-        start: (N, 2) px, position in its key frame.
-        tracked: (N,) bool.
-        seeding: (N,) indices of the `NewSkin.searched` regions in which the points were seeded.
-    """
-
-    position: Points
-    start: Points
-    tracked: Mask
-    seeding: NDArray[np.integer]
 
 
 class NewSkin:
@@ -63,7 +45,9 @@ class NewSkin:
         if touching.any():
             self._before = self._on_contact(positions), self._middle(touching)
 
-    def region(self, contact: NDArray[np.floating], points: SeededPoints) -> Mask | None:
+    def region(
+        self, contact: NDArray[np.floating], pixels: Points, moved: Points, tracked: Mask, seeding: NDArray[np.integer]
+    ) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
         Where hardly a point is left, as after a finger has been lifted and touches elsewhere, all skin in contact is
@@ -76,29 +60,32 @@ class NewSkin:
 
         Args:
             contact: (h', w') cells, positive in the gross contact.
-            points: all points in this frame.
+            pixels: (N, 2) px of the topographic view, measured or expected positions of all points in this frame.
+            moved: (N, 2) px, their displacement since the frame in which each was seeded.
+            tracked: (N,) bool.
+            seeding: (N,) indices of the regions `searched` in which the points were seeded.
         """
         touching = contact[::_STEP, ::_STEP] > 0
         if not touching.any():
             return None
-        if points.tracked.sum() < LEFT * len(points.tracked):
+        if tracked.sum() < LEFT * len(tracked):
             self._before = None
-            return self._around(touching) & ~self._near_points(points.position[points.tracked])
-        position = self._on_contact(points.position)  # from here on in px of the contact view
+            return self._around(touching) & ~self._near_points(pixels[tracked])
+        position = self._on_contact(pixels)  # from here on in px of the contact view
         middle = self._middle(touching)
         before, self._before = self._before, (position, middle)
         way = np.zeros_like(position)  # px, displacement of points relative to the contact
         if before is not None:
             old = len(before[0])
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
-        tracked, far, side = np.flatnonzero(points.tracked), self._window / 2 * self._per_px, self._cell * _STEP
+        numbers, far, side = np.flatnonzero(tracked), self._window / 2 * self._per_px, self._cell * _STEP
         # Nearest points are searched only for cells that touch, or soon may, without a point nearby: a press has few.
-        cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[tracked]), initial=0.0) / side) + 1
+        cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[numbers]), initial=0.0) / side) + 1
         square = np.ones((2 * min(cells_ahead, max(touching.shape)) + 1,) * 2, np.uint8)
         empty = np.pad(cv2.dilate(touching.astype(np.uint8), square), 1)  # with a border for points outside
         around = np.arange(-int(far / side) - 1, int(far / side) + 2)
-        number = np.floor((position[tracked] + 0.5) / side).astype(int)[..., None] + around
-        apart = ((number * _STEP + 0.5) * self._cell - 0.5 - position[tracked, :, None]) ** 2
+        number = np.floor((position[numbers] + 0.5) / side).astype(int)[..., None] + around
+        apart = ((number * _STEP + 0.5) * self._cell - 0.5 - position[numbers, :, None]) ** 2
         point, down, across = np.nonzero(apart[:, 1, :, None] + apart[:, 0, None] <= far**2)
         row, column = number[point, 1, down], number[point, 0, across]
         empty[row.clip(-1, touching.shape[0]) + 1, column.clip(-1, touching.shape[1]) + 1] = 0
@@ -107,26 +94,26 @@ class NewSkin:
             return None
         rows, columns = np.indices(touching.shape)
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
-        tree = cKDTree(position[tracked])
+        tree = cKDTree(position[numbers])
         nearest = tree.query(at[cells])[1]
-        coming = at[cells] + _AHEAD * way[tracked[nearest]]
+        coming = at[cells] + _AHEAD * way[numbers[nearest]]
         soon = self._in(touching, at[cells]) | self._in(touching, coming)
         if not soon.any():
             return None
-        cells, nearest = cells[soon], tracked[nearest[soon]]
+        cells, nearest = cells[soon], numbers[nearest[soon]]
         new = cKDTree(position).query(at[cells])[0] > far
-        new[new] = self._is_new(at[cells[new]], nearest[new], points)
+        new[new] = self._is_new(at[cells[new]], moved[nearest[new]], seeding[nearest[new]])
         if new.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
             return None
-        nearest = tracked[tree.query(at)[1]]
+        nearest = numbers[tree.query(at)[1]]
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
         downstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0)
         window = self._window * self._per_px
         reach = np.clip(_AHEAD * length, window, window + self._cell * _STEP * max(touching.shape))
         steps = np.arange(0, reach.max() + _STRIDE * window, _STRIDE * window)
         seeded = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
-        seeded[seeded] = self._is_new(at[seeded], nearest[seeded], points)
-        return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(points.position)
+        seeded[seeded] = self._is_new(at[seeded], moved[nearest[seeded]], seeding[nearest[seeded]])
+        return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(pixels)
 
     def _around(self, touching: Mask) -> Mask:
         """Return the mask (h, w) of the topographic view around a contact that has just begun, as far as the first
@@ -150,15 +137,15 @@ class NewSkin:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
         return _look_up(touching, row, column)
 
-    def _is_new(self, at: Points, nearest: NDArray[np.integer], points: SeededPoints) -> Mask:
+    def _is_new(self, at: Points, moved: Points, seeding: NDArray[np.integer]) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
         which the nearest point was seeded, at the time of that seeding.
 
-        The skin is traced back to the frame in which the nearest point was seeded.
+        The skin is traced back by the displacement `moved` (K, 2) px of the nearest point since then.
         """
-        was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (points.position - points.start)[nearest]
+        was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - moved
         column, row = np.rint(was).astype(int).T
-        return ~_look_up(np.stack(self.searched), points.seeding[nearest], row, column)
+        return ~_look_up(np.stack(self.searched), seeding, row, column)
 
     def _on_topography(self, cells: Mask) -> Mask:
         side = self._cell * _STEP

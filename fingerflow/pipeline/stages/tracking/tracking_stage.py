@@ -23,7 +23,7 @@ from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, SeededPoints, on_topography
+from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, on_topography
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
@@ -259,7 +259,7 @@ class TrackingStage(Stage):
         start = np.concatenate([group.start for group in self._seeded])
         total, tracked = len(position), tracked_points.status[-1] == TrackStatus.TRACKED
         seeding = np.repeat(np.arange(len(self._seeded)), [len(group) for group in self._seeded])
-        region = self._new_skin.region(margin[-1, 0], SeededPoints(position, start, tracked, seeding))
+        region = self._new_skin.region(margin[-1, 0], position, position - start, tracked, seeding)
         if region is None:
             return None
         moved = np.nan_to_num(nanmedian((tracked_points.points[-1] - tracked_points.points[0]).T))
