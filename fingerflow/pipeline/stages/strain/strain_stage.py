@@ -199,7 +199,7 @@ class StrainStage(Stage):
 
         def since_growth(rows: NDArray[np.intp]) -> NDArray[np.float64]:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
-            then = np.concatenate([steady(np.array([k])) for k in grown.tolist()])
+            then = np.concatenate([steady(run) for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
             return position[rows] - then[number]
 
         whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
