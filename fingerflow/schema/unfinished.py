@@ -48,11 +48,9 @@ def finish(part: Path, path: Path) -> None:
 
 def remove(path: Path) -> None:
     """Remove a file, or a folder with all content, ignoring errors."""
-    with contextlib.suppress(OSError):
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
+    shutil.rmtree(path, ignore_errors=True)
+    with contextlib.suppress(OSError):  # a file
+        path.unlink()
 
 
 def _is_running(process: int) -> bool:
@@ -61,8 +59,6 @@ def _is_running(process: int) -> bool:
         return True
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
     return True

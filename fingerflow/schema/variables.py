@@ -69,36 +69,44 @@ def sparse_border_mm(real_area: Any, gross_area: Any) -> float:
     return float(0.15 * min(max((0.23 - share) / 0.06, 0), 1))
 
 
-def _gross_area_std(semi_axes: Any, real_area: Any, gross_area: Any) -> Any:
+def _small(semi_axes: Any) -> Any:
+    """Return 1 for contacts of less than three ridges, about 1.5 mm^2, and 0 for larger ones, from the semi-axes
+    (frames, 2), mm.
+    """
+    return 1 / (1 + (pi / 1.5 * semi_axes.prod(-1)) ** 4)
+
+
+def _gross_area_std(semi_axes: Any, real_area: Any, gross_area: Any, threshold: Any) -> Any:
     """Return the standard deviation, mm^2, of the gross contact area in each frame, from the semi-axes (frames, 2), mm,
-    of its ellipse and the real and gross contact areas (frames,).
+    of its ellipse, the real and gross contact areas and the contact threshold (frames,).
 
     Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one;
-    where nothing touches, the deviation is that of the real area.
+    where nothing is seen to touch, one may begin between two ridges, and before there is a threshold it may be larger.
     Each piece of the border, as long as a ridge spacing of 0.45 mm, errs by 0.06 mm on its own, as it does at onsets
     (`tracker.contact_border`). By 0.011 mm the border errs as a whole, measured on presses through real prints
     (docs/methods/contact.md).
     """
-    small = 0.3**2 / (1 + (pi / 1.5 * semi_axes.prod(-1)) ** 4)
     around = pi * (2 * (semi_axes**2).sum(-1)) ** 0.5
     sparse = 4 * pi * gross_area * sparse_border_mm(real_area, gross_area) ** 2
-    deviation = ((0.011**2 * around + 0.06**2 * 0.45) * around + small + sparse) ** 0.5
-    for seen, value in ((real_area > 0, 0.25), (real_area == 0, 0.01)):
-        deviation[(deviation != deviation) & seen] = value
+    deviation = ((0.011**2 * around + 0.06**2 * 0.45) * around + 0.3**2 * _small(semi_axes) + sparse) ** 0.5
+    unseen = (real_area == 0) & (threshold != threshold)
+    for value, seen in ((0.15, real_area > 0), (0.04, real_area == 0), (0.2, unseen)):
+        deviation[seen & (semi_axes != semi_axes).any(-1)] = value
     return deviation
 
 
-def _real_area_std(real_area: Any) -> Any:
+def _real_area_std(real_area: Any, threshold: Any) -> Any:
     """Return the standard deviation, mm^2, of the real contact area (frames,), most of it shared by all frames.
 
     The edges of ridges are blurred, and the median takes their corners: measured on presses through real prints.
+    Before there is a threshold, a contact is too small to be told from noise.
     """
-    return (0.025**2 * real_area ** (4 / 3) + 0.01**2) ** 0.5
+    return (0.025**2 * real_area ** (4 / 3) + 0.01**2 + 0.1**2 * (threshold != threshold)) ** 0.5
 
 
 def _ratio(part: Any, whole: Any) -> Any:
-    """Return the ratio of two areas, NaN where there is none."""
-    return part / (whole / (whole > 0))
+    """Return the ratio of two areas, NaN where there is none, or no region whose part the first is."""
+    return part / (whole / ((whole > 0) & (whole != part)))
 
 
 def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -> Any:
@@ -106,11 +114,12 @@ def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -
     return (real_std**2 + (_ratio(real_area, gross_area) * gross_std) ** 2) ** 0.5 / gross_area
 
 
-def _ellipse_std(lengths: Any, *areas: Any) -> Any:
+def _ellipse_std(lengths: Any, semi_axes: Any, *areas: Any) -> Any:
     """Return the standard deviation, mm, of the ellipse's centre or, given the `areas` that `sparse_border_mm` takes,
-    of its semi-axes. On contacts of 1 to 60 mm^2 it does not depend on their size.
+    of its semi-axes. On contacts of 3 to 60 mm^2 it does not depend on their size.
     """
-    return 0 * lengths + (0.028**2 + (sparse_border_mm(*areas) ** 2 if areas else 0)) ** 0.5
+    small, sparse = (0.12, sparse_border_mm(*areas)) if areas else (0.035, 0)
+    return 0 * lengths + (0.028**2 + small**2 * _small(semi_axes)[..., None] + sparse**2) ** 0.5
 
 
 def _angle_std(semi_axes: Any) -> Any:
@@ -155,19 +164,20 @@ CONTACT = (
     Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
         equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px"),
     Variable("real_contact_area_std", FRAME, "mm2", "standard deviation of the real contact area, shared by frames",
-        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges",
-        formula=_real_area_std, of=("real_contact_area",)),
+        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges; 0.1 mm² if unseen",
+        formula=_real_area_std, of=("real_contact_area", "contact_threshold")),
     Variable("gross_contact_area", FRAME, "mm2",
         "apparent (gross) contact area, that of the region which the contact spans",
-        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),
+        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim; "
+        "the real area where no such region is seen"),
     Variable("gross_contact_area_std", FRAME, "mm2",
         "standard deviation of the gross contact area, by the ridge spacing",
         equation="σ² = (b p)² + c² s p + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
         "ellipse, b = 0.011 mm of the whole border, c = 0.06 mm of each piece s = 0.45 mm, a ridge spacing, d = 0.3 "
-        "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse, 0.01 mm² where nothing touches; plus "
+        "mm² below three ridges; 0.15 mm² without ellipse, 0.04 mm² without real area, 0.2 mm² without threshold; plus "
         "4 π gross faint_rim_mm², live 0.15 mm of it where ridges cover less than 17 % of the contact, 0 from 23 % on",
-        formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area"),
-        label="standard deviation of the gross contact area"),
+        formula=_gross_area_std,
+        of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area", "contact_threshold")),
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
         equation="real_contact_area / gross_contact_area", formula=_ratio,
         of=("real_contact_area", "gross_contact_area")),
@@ -177,12 +187,13 @@ CONTACT = (
     Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
         equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse"),
     Variable("ellipse_center_std", ("frame", "xy"), "mm", "standard deviation of ellipse_center",
-        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_center",)),
+        equation="√((0.028 mm)² + (0.035 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴))",
+        formula=_ellipse_std, of=("ellipse_center", "ellipse_semi_axes")),
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
         equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),
     Variable("ellipse_semi_axes_std", ("frame", "axis"), "mm", "standard deviation of ellipse_semi_axes",
-        equation="0.028 mm, and faint_rim_mm", formula=_ellipse_std,
-        of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area")),
+        equation="√((0.028 mm)² + (0.12 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴)), and faint_rim_mm",
+        formula=_ellipse_std, of=("ellipse_semi_axes", "ellipse_semi_axes", "real_contact_area", "gross_contact_area")),
     Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
         equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse"),
     Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
@@ -225,8 +236,7 @@ TRACKING = (
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
         "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ² − 2 σ_δ², δ the shift to where "
         "most of a window in which dust stands out matches, σ_δ its error; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n "
-        "the side of the window, over all second derivatives of both components, fitted over two windows",
-        label="standard deviation of the position"),
+        "the side of the window, over all second derivatives of both components, fitted over two windows"),
     Variable("position_noise_px", FRAME_POINT, "px",
         "part of position_std_px that is not due to displacement curved within the window", "f4",
         equation="√(tr C/2 + δ² − 2 σ_δ²), the terms of position_std_px by noise and dust",

@@ -69,14 +69,15 @@ def is_jump(
     return bool(((far | very_far) & (between - usual < _BACK * longer)).any())
 
 
-def is_far(step: SquaredDistances, usual: SquaredDistances, ordinary: Ordinary | None = None) -> bool:
-    """Return True if a frame differs much more from the frame before than neighbouring frames usually do, so that the
-    image may have jumped, in any of the compared parts: bands of image lines, the whole view, or the brightness.
+def is_far(step: SquaredDistances, gap: int, usual: SquaredDistances, ordinary: Ordinary | None = None) -> bool:
+    """Return True if a frame differs much more from the usable one `gap` frames before than neighbouring frames usually
+    do, so that the image may have jumped, in any of the compared parts: bands of image lines, the whole view, or the
+    brightness.
 
-    `step` and `usual` are squared distances (parts,). The limit follows from `ordinary`, the excesses of other frames;
-    without these it is the smallest limit.
+    `step` and `usual` are squared distances (parts,); the steps of frames between that are not usable add up. The limit
+    follows from `ordinary`, the excesses of other frames; without these it is the smallest limit.
     """
-    usual = np.fmax(usual, 1)
+    usual = np.fmax(usual * min(gap, LONGEST + 1) ** 2, 1)
     limit = _LEAST_EXCESS if ordinary is None else _excess_limit(usual, ordinary)
     return bool(np.logical_or.reduce(excess(step, step, usual) > limit))
 
@@ -127,7 +128,8 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
         usable: (F,) False for frames already known to be invalid, with which none is compared.
 
     Returns:
-        (F,) bool; all False if more than a tenth would be marked, as this is the motion of the skin or the light.
+        (F,) bool; all False if more than a tenth would be marked, and more than `LONGEST`, as this is the motion of the
+        skin or the light.
     """
     frames = len(distances)
     jumps = np.zeros(frames, dtype=bool)
@@ -135,12 +137,10 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
         return jumps
     before, after, around = _steps(distances)
     ordinary = ordinary_values(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], around))
-    jumps |= _far_at_end(distances, usable, before, ordinary)
-    jumps |= _far_at_end(_reversed(distances), usable[::-1], after[::-1], ordinary)[::-1]
     # Frames that may begin a jump, judged by their distance from the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     likely[1:] = (excess(distances[1:, 0], distances[1:, 0], before[:-1]) > _LEAST_EXCESS).any(1)
-    good = iter((usable & ~jumps).nonzero()[0].tolist())
+    good = iter(usable.nonzero()[0].tolist())
     last = next(good, frames)
     for frame in good:
         if frame <= last:
@@ -151,7 +151,10 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
             jumps[frame : frame + length] = True
         last = frame + length
     jumps &= usable
-    return jumps if jumps.mean() <= _MOST else np.zeros_like(jumps)
+    # Next to an end, the image may have returned: only what is left is judged without frames beyond.
+    jumps |= _far_at_end(distances, usable & ~jumps, before, ordinary)
+    jumps |= _far_at_end(_reversed(distances), (usable & ~jumps)[::-1], after[::-1], ordinary)[::-1]
+    return jumps if jumps.sum() <= max(_MOST * frames, LONGEST) else np.zeros_like(jumps)
 
 
 def _length_of_jump(
@@ -229,7 +232,8 @@ def _far_at_end(
         ordinary = noise, np.fmax(limit, _LEAST_AT_END)
         for k, step in enumerate(steps):
             # Longest of the later steps: a finger that has begun to move moves on.
-            if is_far(step, np.maximum(usual[last[k]], steps[k + 1 :].max(0, initial=0)), ordinary):
+            usual_step = np.maximum(usual[last[k]], steps[k + 1 :].max(0, initial=0))
+            if is_far(step, last[k + 1] - last[k], usual_step, ordinary):
                 result[last[k + 1] :] = True
                 break
     return result & usable

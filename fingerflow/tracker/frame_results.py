@@ -112,9 +112,8 @@ class FrameResults:
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         return {
-            **{"real_contact_area": sizes.real, "gross_contact_area": sizes.gross},
-            **{"ellipse_center": sizes.ellipse.center, "ellipse_semi_axes": sizes.ellipse.semi_axes},
-            **{"ellipse_angle": sizes.ellipse.angle, "illumination_gain": contact.illumination_gain},
+            **sizes.by_name(),
+            "illumination_gain": contact.illumination_gain,
             **{"position_px": points.points, "forward_backward_error": points.error},
             **{"position_std_px": np.sqrt(variance + curvature), "status": points.status, "in_contact": covered},
             **{"point_strain": fields.strain, "entered": self._entered},

@@ -496,13 +496,12 @@ class StreamTracker:
         if not self.measures:
             return []
         measured = outcome.measured
-        if outcome.points is None:
-            if measured is not None:
-                self._search.passed_over()
-            return []
-        area = float(self.contact(outcome).real_area_px[0])
-        if self._search.update(index, area, measured) and measured is not None:
-            return [Event("threshold", number, {"threshold": measured})]
+        if outcome.points is not None:
+            area = float(self.contact(outcome).real_area_px[0])
+            if self._search.update(index, area, measured):
+                return [Event("threshold", number, {"threshold": measured})]
+        elif measured is not None:
+            self._search.passed_over()
         return []
 
     def _sparse_contact(self, work: FrameOutcome, tracked_points: TrackedPoints) -> _Sparse | None:
@@ -522,10 +521,9 @@ class StreamTracker:
             return None
         # px², product of the semi-axes of the seeding region.
         product = self._settings.points * (_DENSE * gauge) ** 2 * float(contact.gross_area_px[0]) / area / math.pi
-        major, minor = (float(axis) for axis in contact.semi_axes[0])
-        more = (math.hypot(major - minor, 2 * math.sqrt(product)) - major - minor) / 2
-        axes = np.array([major, minor])
-        wide = axes + max(more, self._engine.settings.window_px)
+        axes = contact.semi_axes[0].astype(np.float64)
+        wider = (math.hypot(axes[0] - axes[1], 2 * math.sqrt(product)) - axes.sum()) / 2
+        wide = axes + max(wider, self._engine.settings.window_px)
         return _Sparse(points, contact.center[0].copy(), axes, float(contact.angle[0]), wide)
 
     def _regions(self, sparse: _Sparse) -> tuple[Array, Array]:

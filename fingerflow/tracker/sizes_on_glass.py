@@ -25,6 +25,12 @@ class Sizes(NamedTuple):
     gross: Array
     ellipse: FrameEllipse
 
+    def by_name(self) -> dict[str, Array]:
+        """Return results by name. Where no region is seen, the gross area is stated as the real one, its least size."""
+        gross = np.where(self.gross > 0, self.gross, self.real)
+        ellipse = {f"ellipse_{name}": values for name, values in self.ellipse._asdict().items()}
+        return {"real_contact_area": self.real, "gross_contact_area": gross, **ellipse}
+
 
 class SizesOnGlass:
     """Conversion of contact sizes to mm, corrected for a lens by means over the cells of the gross contact: of the gain

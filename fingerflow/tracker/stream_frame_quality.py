@@ -173,10 +173,9 @@ class FrameCheck:
         """
         if self._last is None or step is None or not self._steps or sum(self._returned) >= _RETURNS:
             return False
-        # The steps of frames that were dropped or not usable add up.
-        usual = self._usual() * min(frame.number - self._last.number, LONGEST + 1) ** 2
+        usual, gap = self._usual(), frame.number - self._last.number
         # Check first without the excesses of other frames, which take longer to compute; few frames are so far.
-        return is_far(step, usual) and is_far(step, usual, self._ordinary())
+        return is_far(step, gap, usual) and is_far(step, gap, usual, self._ordinary())
 
     def _comes_back(self, frame: Picture) -> bool:
         """Return whether the image has jumped away in the deferred frames and returns, with this frame, to that of the

@@ -55,7 +55,7 @@ def test_the_printed_displacement_is_the_median_over_the_points(scene: Scene, re
 def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
     assert result["real_contact_area"].values[0] == 0
     assert result["gross_contact_area"].values[0] == 0
-    assert result["gross_contact_area_std"].values[0] == result["real_contact_area_std"].values[0] == 0.01
+    assert (result["gross_contact_area_std"].values[0], result["real_contact_area_std"].values[0]) == (0.04, 0.01)
     for name in ("ellipse_angle", "median_divergence", "global_displacement"):
         assert np.isnan(result[name].values[0]), name
     assert np.isnan(result["displacement"].values[:, result["onset_frame"].values < 0]).all()

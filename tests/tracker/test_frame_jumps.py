@@ -76,8 +76,10 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_jumps_and_returns_is_found_and_nothing_else(skin: Frames, kind: str) -> None:
-    for places in ([0, 30, 31, 32], [9, 11, 13], [20, 21, FRAMES - 1]):
-        frames = skin.copy()
+    """Also next to an end of the recording, and where they are more than a tenth of it."""
+    last = FRAMES - 1
+    for places in ([0, 30, 31, 32], [9, 11, 13], [20, 21, last], [1, 2, 3], [last - 3, last - 2, last - 1], [8, 9, 10]):
+        frames = skin[: 24 if places[-1] == 10 else FRAMES].copy()
         for k in places:
             frames[k] = KINDS[kind](frames[k])
         assert found(frames) == places

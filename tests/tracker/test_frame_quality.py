@@ -13,7 +13,8 @@ import pytest
 
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker import frame_tracker
-from fingerflow.tracker.frame_distances import LONGEST
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
+from fingerflow.tracker.frame_jumps import jumps_and_returns
 from fingerflow.tracker.stream_frame_quality import FrameCheck
 
 Array = np.ndarray[Any, Any]
@@ -61,6 +62,16 @@ def test_skin_that_moves_is_no_jump() -> None:
     way = np.cumsum(np.linspace(0, 1.0, 40))
     assert _statuses([_moved(skin, px) for px in way]) == ["usable"] * 40
     assert _statuses([_moved(skin, 0.1 * k + 5 * (k >= 20)) for k in range(40)]) == ["usable"] * 40
+
+
+def test_a_frame_between_dark_ones_counts() -> None:
+    """Skin moves on in the dark: the step from frame 1 to frame 3 is that of two frames, live and recorded."""
+    skins = [_moved(_skin(), 0.6 * k) for k in range(20)]
+    skins[0] = skins[2] = np.zeros((192, 240))
+    assert _statuses(skins) == ["dark", "usable", "dark"] + ["usable"] * 17
+    frames = np.concatenate([_view(skin, k)[0] for k, skin in enumerate(skins)])
+    usable = ~np.isin(np.arange(20), (0, 2))
+    assert not jumps_and_returns(squared_distances_before(PixelSamples.sample(frames), None), usable).any()
 
 
 @pytest.mark.parametrize(("length", "later"), [(1, -15), (2, 10), (LONGEST, 20)])

@@ -101,14 +101,7 @@ class ContactStage(Stage):
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
         contact = self._measure(batch.images(self.inputs, self._view))
         indices, sizes = batch.indices, self._on_glass.sizes(contact)
-        for name, values in {
-            "contact_threshold": contact.threshold,
-            "real_contact_area": sizes.real,
-            "gross_contact_area": sizes.gross,
-            "ellipse_center": sizes.ellipse.center,
-            "ellipse_semi_axes": sizes.ellipse.semi_axes,
-            "ellipse_angle": sizes.ellipse.angle,
-        }.items():
+        for name, values in {"contact_threshold": contact.threshold, **sizes.by_name()}.items():
             self.series[name][indices] = values
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
