@@ -20,7 +20,7 @@ def main() -> None:
     try:
         # Commands return nothing; typer returns the exit status, 130 where it caught the interrupt itself.
         code = app(standalone_mode=False) or 0
-    except FingerflowError as error:
+    except (FingerflowError, OSError) as error:
         typer.echo(f"fingerflow: {error}", err=True)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):

@@ -364,7 +364,8 @@ class Points:
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
         change = np.sort(change[np.isfinite(change)])
         fastest = window // 2 * float(change[int(0.95 * len(change))]) / frames if len(change) else 0.0
-        self._interval = _update_interval(fastest)
+        # A power of 2, the largest in which edges of windows shift by at most `FASTEST_PX`.
+        self._interval = 1 << int(math.log2(min(max(FASTEST_PX / max(fastest, 1e-9), 1), MOST_FRAMES)))
         self._warp, self._checked = warp, self._followed
         much = shift > UPDATE_PX
         for pending in self._pending:
@@ -444,10 +445,3 @@ def _last_seen(points: Array, before: Array) -> Array:
             frame[gone] = before[gone]
         before = frame
     return positions
-
-
-def _update_interval(fastest: float) -> int:
-    """Return the number of frames until the next check of templates, a power of 2 from 1 to `MOST_FRAMES`: the largest
-    in which window edges that shift by `fastest` px a frame shift by at most `FASTEST_PX`, or 1.
-    """
-    return 1 << int(math.log2(min(max(FASTEST_PX / max(fastest, 1e-9), 1), MOST_FRAMES)))

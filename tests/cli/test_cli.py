@@ -44,14 +44,13 @@ def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed)
     assert command("info", tmp_path / "both.h5", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
-    for name in ("forces.h5", "both.h5"):
-        with h5py.File(tmp_path / name, "a") as file:
-            file.attrs["fingerflow_version"] = "0.1.0"
-        assert command("info", tmp_path / name) == 2
-        assert f"{name}: is a result of fingerflow" in capsys.readouterr().err
-    (tmp_path / "forces.csv").write_text("nothing")
-    assert command("info", tmp_path / "forces.csv") == 2
-    assert "forces.csv" in capsys.readouterr().err
+    with h5py.File(tmp_path / "both.h5", "a") as file:
+        file.attrs["fingerflow_version"] = "0.1.0"
+    assert command("info", tmp_path / "both.h5") == 2
+    assert "both.h5: is a result of fingerflow" in capsys.readouterr().err
+    for name in ("info", "report", "process"):
+        assert command(name, tmp_path / ("x" * 300)) == 2
+        assert "File name too long" in capsys.readouterr().err
 
 
 def test_version_of_the_command_and_of_the_module(command: Command, capsys: Printed) -> None:

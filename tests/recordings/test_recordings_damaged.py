@@ -55,20 +55,7 @@ def test_a_missing_number_is_a_frame_that_cannot_be_read(tmp_path):
     np.testing.assert_array_equal(recording.read()[:, 0, 0], [5, 5 + step, 0, 5 + 3 * step, 5 + 4 * step])
     np.testing.assert_allclose(recording.times, np.arange(5) / 100)  # frames after the gap keep their times
     assert "1 of 5 images are missing by their numbers, the first between" in recording.warnings[0]
-    assert dict(recording[::-1].unreadable) == {2: "has no file"}
     assert dict(recording[1:4].unreadable) == {1: "has no file"}
-    assert dict(recording[[0, 4]].unreadable) == {}
-
-
-@pytest.mark.parametrize("numbers", [[0, 10, 20, 35], range(0, 60, 10)])
-def test_numbers_that_tell_no_time_are_said(tmp_path, numbers):
-    recording = open_recording(numbered(tmp_path, numbers))
-    np.testing.assert_array_equal(recording.read()[:, 0, 0], numbers)
-    assert not recording.unreadable
-    if isinstance(numbers, range):  # even steps give no warning
-        assert recording.warnings == ()
-    else:
-        assert "read as consecutive" in recording.warnings[0]
 
 
 def damaged_image(folder: Path) -> Path:

@@ -125,10 +125,12 @@ def test_time_stamps_tell_dropped_frames_from_a_missing_end(tmp_path, name, firs
 
 
 @pytest.mark.parametrize("codec", ["mpeg2video", "mpeg4", "libx264"])
-@pytest.mark.parametrize("options", [{}, {"flags": "+ilme+ildct", "top": "1"}])
-def test_an_interlaced_video_is_named(tmp_path, codec, options):
+@pytest.mark.parametrize("options", [{}, {"flags": "+ilme+ildct", "top": "1"}, {"aspect": "4:3"}])
+def test_interlaced_rows_and_wide_pixels_are_named(tmp_path, codec, options):
     path = write_video(tmp_path / "a.mkv", frames_of(8), codec, "yuv420p", rate=25, **options)
-    assert ("the video is interlaced" in " ".join(open_recording(path).warnings)) == bool(options)
+    said = " ".join(open_recording(path).warnings)
+    assert ("the video is interlaced" in said) == ("flags" in options)
+    assert ("wide pixels (" in said) == ("aspect" in options)
 
 
 def test_mp4_without_its_index_is_refused(tmp_path):

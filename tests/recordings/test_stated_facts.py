@@ -3,6 +3,7 @@
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import h5py
@@ -41,6 +42,7 @@ REFUSED = {
     "either": ("time (ms)\tFz (mN)\n0\t1,234\n1\t1,236\n", "'1,234' may be decimal or have a thousands mark"),
     "either, with points": ("time (ms);Fz (mN)\n0;1.234\n1;12.365\n", "'1.234' may be decimal"),
     "quoted thousands": ('time (s),Fz (mN)\n0.001,"1,234"\n0.002,"1,235"\n', "thousands"),
+    "decimal commas": (HEADING + "0,000,0,00\n0,001,0,10\n", "4 cells below 2 names .*semicolons"),
     "two decimal marks": ("t (s);Fz (N)\n0,001;0.01\n0,002;0.02\n", "'0,001' beside '0.01'.*with one decimal mark"),
     "millions": ("time (ms)\tFz (mN)\n0\t1,234,567\n1\t1,234,568\n", "thousands"),
     "time of day": (HEADING + "12:00:00.001,1\n12:00:00.002,1\n", "'12:00:00.001', a date or time of day"),
@@ -50,6 +52,7 @@ REFUSED = {
     "statistics": (HEADING + LINES + "mean,1.2\n", "'time' is 'mean', no number"),
     "empty": ("time (s),Fz (N),temp (V)\n0,1,2\n1,1,\n", "'temp' is empty"),
     "no number": (HEADING + "0,1\n1,#N/A\n", "'Fz' is '#N/A'"),
+    "path": ("recording,answer\np01/0um/a.npy,1\n", "'p01/0um/a.npy', no number"),
     "binary": (HEADING + "0,1\n\0,1\n", "is binary"),
 }
 
@@ -90,6 +93,7 @@ def test_what_is_no_text_ends_in_a_sentence(case: str, tmp_path: Path) -> None:
     [
         (["i_-12", "i_-2", "i_-1"], "gaps"),
         (["-2", "-1", "0", "1"], ""),
+        (["0", "10", "20"], ""),
         (["Img-0002", "Img-0001", "Img+0000", "Img+0001"], ""),
         (["img-1", "img-2", "img-10"], "gaps"),
         (["t=0.05", "t=0.5", "t=1", "t=1.5"], "decimal"),
@@ -141,6 +145,8 @@ def test_pixel_types_that_are_refused(dtype: str, tmp_path: Path) -> None:
         (np.arange(5) * 2.0, "ms", 500.0, ""),
         (np.arange(5) * 2_000_000 + (1 << 60), "ns", 500.0, ""),
         (np.array([0.0, 2, 4, 8, 10]), "ms", 500.0, ""),
+        (np.arange(5) * 2.0, "_ms", 500.0, ""),
+        (np.arange(5)[:, None] * 0.002, "seconds", 500.0, ""),
         (np.arange(5) * 2.0, "", None, "not used"),
         (np.array([0.0, 2, 1, 8, 10]), "ms", None, "do not increase"),
     ],
@@ -148,13 +154,14 @@ def test_pixel_types_that_are_refused(dtype: str, tmp_path: Path) -> None:
 def test_times_of_frames_in_hdf5(stamps: np.ndarray, unit: str, rate: float | None, warns: str, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["run/frames"] = np.zeros((5, 16, 24), np.uint8)
-        file["run/frame_times"] = stamps
-        if unit:
-            file["run/frame_times"].attrs["units"] = unit
+        times = file["run"].create_dataset("frame_times" + unit * unit.startswith("_"), data=stamps)
+        if unit and "_" not in unit:
+            times.attrs["units"] = unit
     recording = open_recording(tmp_path / "a.h5")
     assert recording.frame_rate == (None if rate is None else pytest.approx(rate))
     if rate is not None:
-        np.testing.assert_allclose(recording.times, (stamps - stamps[0]) * (1e-9 if unit == "ns" else 1e-3), atol=1e-9)
+        moved = np.ravel(stamps - stamps[0])
+        np.testing.assert_allclose(recording.times, moved / moved[1] / rate, atol=1e-9)
     assert bool(warns) == bool(recording.warnings)
     assert warns in " ".join(recording.warnings)
 
@@ -177,11 +184,37 @@ def test_tables_and_times_of_groups_in_hdf5(tmp_path: Path) -> None:
         rows["time"], rows["Fz"] = TIMES, FORCES
         file["daq/forces"] = rows
         file["sync/time"], file["sync/ttl"] = TIMES + 0.1, FORCES
-    options = {"time": "daq/forces/time", "units": {"daq/forces/Fz": "N"}}
-    forces = open_forces(tmp_path / "a.h5", {"f": "daq/forces/Fz"}, **options)
-    np.testing.assert_allclose(forces.channels["f"], FORCES, rtol=1e-6)
+        file["raw"] = np.round(FORCES * 1000 - 50).astype(np.int16)
+        file["raw"].attrs.update(scale_factor=0.001, add_offset=0.05)
+        file["nwb"] = FORCES * 1000
+        file["nwb"].attrs["conversion"] = 0.001
+    options = {"time": "daq/forces/time", "units": dict.fromkeys(("daq/forces/Fz", "raw", "nwb"), "N")}
+    forces = open_forces(tmp_path / "a.h5", {"f": "daq/forces/Fz", "raw": "raw", "nwb": "nwb"}, **options)
+    for values in forces.channels.values():
+        np.testing.assert_allclose(values, FORCES, rtol=1e-6)
     with pytest.raises(FingerflowError, match="'sync/ttl' has times of its own"):
         open_forces(tmp_path / "a.h5", {"f": "daq/forces/Fz"}, trigger="sync/ttl", **options)
+
+
+@pytest.mark.parametrize(
+    ("stated", "rate", "warns"),
+    [
+        ({"TimeIncrement": 2.0, "TimeIncrementUnit": "ms"}, 500, ""),
+        ({"Plane": {"DeltaT": [0, 2, 4, 8, 9]}}, None, "DeltaT"),
+        ({"finterval": 0.002, "tunit": "sec", "fps": 10.0}, 500, ""),
+        ({"finterval": 2.0, "tunit": "ms"}, 500, ""),
+        ({"finterval": 2.0, "tunit": "frames"}, None, ""),
+    ],
+)
+def test_times_that_a_tiff_states(stated: dict[str, Any], rate: float | None, warns: str, tmp_path: Path) -> None:
+    imagej = "finterval" in stated
+    path = tmp_path / ("a.tif" if imagej else "a.ome.tif")
+    tifffile.imwrite(path, np.zeros((5, 16, 24), np.uint8), imagej=imagej, metadata={"axes": "TYX"} | stated)
+    path.write_bytes(path.read_bytes().replace(b"ImageJ=1.11a", b"ImageJ=1.11\xe9"))  # Latin-1
+    recording = open_recording(path)
+    assert recording.frame_rate == (None if rate is None else pytest.approx(rate))
+    assert warns in "".join(recording.warnings)
+    assert bool(warns) == bool(recording.warnings)
 
 
 @pytest.mark.parametrize(("orientation", "warns"), [(1, False), (3, True), (6, True), (2, True)])

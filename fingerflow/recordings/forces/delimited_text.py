@@ -106,7 +106,7 @@ def _fault(body: str, separator: str | None, names: list[str]) -> str:
             return f"{line.strip()!r} has {len(cells)} cells, the heading {len(names)}; remove what is no sample"
         if wrong is not None:
             name, cell = wrong
-            if re.search(r"\d[:/-]\d", cell):
+            if re.match(r"\d+[:/-]\d", cell):
                 return (
                     f"column {name!r} has {cell!r}, a date or time of day; export the time in seconds, or leave the "
                     "column out and give the sample_rate"

@@ -39,18 +39,19 @@ class Forces:
     def __post_init__(self) -> None:
         if self.times.ndim != 1 or self.times.size == 0:
             raise FingerflowError(f"{self.path}: has no samples")
-        if not np.all(np.isfinite(self.times)):
-            row = int(np.argmin(np.isfinite(self.times)))
+        finite = np.isfinite(self.times)
+        if not finite.all():
+            row = int(finite.argmin())
             raise FingerflowError(
                 f"{self.path}: the time of sample {row} is {self.times[row]}; every sample needs a time"
             )
         steps = np.diff(self.times)
-        if np.any(steps <= 0):
-            row = int(np.argmax(steps <= 0))
+        if (wrong := steps <= 0).any():
+            row = int(wrong.argmax())
             problem = "the same time as" if steps[row] == 0 else "an earlier time than"
             raise FingerflowError(
                 f"{self.path}: sample {row + 1} has {problem} the one before ({self.times[row + 1]:g} s after "
-                f"{self.times[row]:g} s; {int(np.sum(steps <= 0))} such places). Times must increase; "
+                f"{self.times[row]:g} s; {wrong.sum()} such places). Times must increase; "
                 "if their digits are too few, pass sample_rate="
             )
         for name, values in self.channels.items():
@@ -95,7 +96,7 @@ class Forces:
         if all frames lie outside.
         """
         targets = np.asarray(frame_times, np.float64)
-        if targets.ndim != 1 or targets.size == 0 or not np.all(np.isfinite(targets)):
+        if targets.ndim != 1 or targets.size == 0 or not np.isfinite(targets).all():
             raise FingerflowError(
                 f"{self.path}: frame times are one finite number a frame, in s; an array {targets.shape} was given"
             )
@@ -140,22 +141,18 @@ class Forces:
         covered = (targets >= times[0] - margin) & (targets <= times[-1] + margin)
         if not covered.all():
             self._warn(
-                f"the forces do not cover {int(np.sum(~covered))} of {targets.size} frames (NaN there): is the trigger "
+                f"the forces do not cover {(~covered).sum()} of {targets.size} frames (NaN there): is the trigger "
                 "right?"
             )
         if frame_rate is not None and sample_rate is not None and sample_rate > frame_rate:
             after = np.clip(np.searchsorted(times, targets), 1, times.size - 1)
             in_gap = covered & (times[after] - times[after - 1] > 1 / frame_rate)
             if in_gap.any():
-                self._warn(f"the forces have gaps at {int(in_gap.sum())} of {targets.size} frames (NaN there)")
+                self._warn(f"the forces have gaps at {in_gap.sum()} of {targets.size} frames (NaN there)")
                 covered &= ~in_gap
             at_frames = low_pass(times, values, targets[covered], nyquist=frame_rate / 2)
         else:
-            rates = (
-                f"forces at {sample_rate:g} Hz, frames at {frame_rate:g} Hz"
-                if sample_rate and frame_rate
-                else "one time"
-            )
+            rates = f"forces at {sample_rate or 0:g} Hz, frames at {frame_rate or 0:g} Hz"
             self._warn(f"forces are sampled no faster than the frames ({rates}): interpolated linearly, not filtered")
             at_frames = np.stack([np.interp(targets[covered], times, row) for row in values])
         result = np.full((len(values), targets.size), np.nan)

@@ -13,7 +13,8 @@ from fingerflow.recordings.guard.file_checks import reading
 def read_table(path: Path) -> ForceTable:
     """Return all numeric vectors and columns of tables in an HDF5 file as columns, each named by the path in the file.
 
-    `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error.
+    `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error. Values are
+    multiplied by `scale_factor` (netCDF) or `conversion` (NWB), then `add_offset` is added.
     """
     table = ForceTable(path, {})
     rates = set()
@@ -29,7 +30,10 @@ def read_table(path: Path) -> ForceTable:
                         table.add(f"{name}/{field}", rows[field])
             if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim in (1, 2):
                 unit = item.attrs.get("units", item.attrs.get("unit"))
-                table.add(name, read_whole(item, path), unit.decode("latin-1") if isinstance(unit, bytes) else unit)
+                factor = number_attribute(item, "scale_factor", path) or number_attribute(item, "conversion", path) or 1
+                offset = number_attribute(item, "add_offset", path) or 0
+                values = factor * read_whole(item, path) + offset
+                table.add(name, values, unit.decode("latin-1") if isinstance(unit, bytes) else unit)
 
         take("/", file)
         file.visititems(take)

@@ -32,7 +32,8 @@ TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e
 TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # with standard gravity (CGPM 1901), exact
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
-TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
+TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
+TO_SECONDS |= {"sec": 1.0, "seconds": 1.0}
 SAME_RATE = 0.01  # relative difference up to which two rates count as equal
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
@@ -86,10 +87,6 @@ def open_forces(
     scales: dict[str, float] = {}
     for name, column in selected.items():
         data = table.columns[column]
-        if len(data) != len(times):
-            raise FingerflowError(
-                f"{location}: column {column!r} has {len(data)} samples, but there are {len(times)} times"
-            )
         is_length = column in {_name(table, length) for length in lengths}
         factor, canonical[name] = _unit(table, column, column == trigger, is_length)
         values[name], scales[name] = data * factor, factor

@@ -1,6 +1,5 @@
 """Reader of forces in LabVIEW TDMS files; the properties of channels give names, units and sample rate."""
 
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from fingerflow.recordings.guard.file_checks import reading
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return the columns of a TDMS file, named by channel, or by group/channel if two channels have one name.
+    """Return the columns of a TDMS file, named by channel, or all by group/channel if two channels have one name.
 
     The rate is 1 / `wf_increment`; the first sample is at `wf_start_offset` after the channel's `wf_start_time`.
     """
@@ -35,7 +34,7 @@ def _columns(path: Path, file: Any) -> ForceTable:
     `wf_start_time`.
     """
     channels = [channel for group in file.groups() for channel in group.channels()]
-    shared = Counter(channel.name for channel in channels)
+    shared = len({channel.name for channel in channels}) < len(channels)
     table = ForceTable(path, {})
     waves: dict[str, Any] = {}
     size = path.stat().st_size
@@ -47,12 +46,9 @@ def _columns(path: Path, file: Any) -> ForceTable:
                 f"{path}: channel {channel.name!r} should have {len(channel)} samples, which a file of {size} bytes "
                 "cannot hold; copy it again"
             )
-        values = channel[:]
-        if values.dtype.kind not in "iuf":
-            continue
-        name = channel.name if shared[channel.name] == 1 else f"{channel.group_name}/{channel.name}"
+        name = f"{channel.group_name}/{channel.name}" if shared else channel.name
         unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or None
-        table.add(name, values, {"Newtons": "N", "Volts": "V"}.get(str(unit), unit))
+        table.add(name, channel[:], {"Newtons": "N", "Volts": "V"}.get(str(unit), unit))
         if channel.properties.get("wf_increment"):
             waves[name] = channel.properties
     begins = {name: np.datetime64(wave["wf_start_time"]) for name, wave in waves.items() if "wf_start_time" in wave}

@@ -80,14 +80,14 @@ def _time_stamps(path: Path, frames: h5py.Dataset, rate: float | None) -> tuple[
     evenly spaced or there are none; the frame rate; and warnings.
     """
     for name in frames.parent:
-        item = frames.parent.get(name) if name.lower().replace("_", "").removeprefix("frame") in _TIMES else None
-        if not isinstance(item, h5py.Dataset) or item.shape != frames.shape[:1]:
+        *words, last = name.lower().split("_")
+        words += [] if last in TO_SECONDS else [last]
+        item = frames.parent.get(name) if "".join(words).removeprefix("frame") in _TIMES else None
+        if not isinstance(item, h5py.Dataset) or not 1 < item.size == len(frames) or item.dtype.kind not in "iuf":
             continue
-        if item.dtype.kind not in "iuf" or len(item) < 2:
-            continue
-        unit = item.attrs.get("units", item.attrs.get("unit", ""))
+        unit = item.attrs.get("units", item.attrs.get("unit", last))
         seconds = TO_SECONDS.get(unit.decode("latin-1") if isinstance(unit, bytes) else str(unit))
-        values = read_whole(item, path).astype(np.float64 if item.dtype.kind == "f" else np.int64)
+        values = read_whole(item, path).ravel().astype(np.float64 if item.dtype.kind == "f" else np.int64)
         stamps = (values - values[0]) * (seconds or 1.0)
         steps = np.diff(stamps)
         if not (np.isfinite(stamps).all() and np.all(steps > 0)):

@@ -85,8 +85,6 @@ def open_frames(path: Path) -> Recording:
         warnings=(*header.warnings, *surplus(pixels.stat().st_size - count * frame_bytes, frame_bytes, count)),
         metadata={
             "camera": header.text("Camera Type", "Photron"),
-            "record_rate_hz": rate * step,
-            "save_step": step,
             "sensor_bits": sensor_bits,
             **({"exposure_s": exposure} if exposure else {}),
         },

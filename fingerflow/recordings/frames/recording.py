@@ -156,8 +156,8 @@ class Recording:
             self.warnings = (cut, *self.warnings)
         if description.orientation != "1":
             self.warnings += (
-                f"the file states an orientation ({description.orientation}), by which viewers turn or mirror the "
-                "picture; frames are read as stored: check that views and calibration are of them",
+                f"the file states an orientation or wide pixels ({description.orientation}), by which viewers turn or "
+                "stretch the picture; frames are read as stored: check that views and calibration are of them",
             )
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
@@ -295,12 +295,7 @@ class Recording:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of differences between successive indices.
-
-    For a few indices a Python loop is faster than NumPy.
-    """
-    if isinstance(indices, range):
-        return {indices.step} if len(indices) > 1 else set()
+    """Return the set of differences between successive indices."""
     return {after - before for before, after in pairwise(indices)}
 
 
@@ -317,9 +312,8 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     """
     if dtype.name in COMPUTED_TYPES:
         return dtype
-    admitted = ", ".join(COMPUTED_TYPES)
     raise FingerflowError(
-        f"{path}: pixels are {dtype}, but frames are {admitted}. Save them as uint8, uint16 or float32."
+        f"{path}: pixels are {dtype}, but frames are {', '.join(COMPUTED_TYPES)}. Save them as uint8, uint16 or float32"
     )
 
 

@@ -2,9 +2,10 @@
 
 import logging
 import math
+import re
 import struct
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.open_forces import TO_SECONDS
 from fingerflow.recordings.frames.recording import (
     DamagedFrame,
     Description,
@@ -33,8 +35,8 @@ def open_frames(path: Path) -> Recording:
     """Open a TIFF stack, reading the page tags only; raise FingerflowError unless all pages are grey frames of one
     shape and type.
 
-    The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
-    playback and is ignored. The bit depth is the tag BitsPerSample.
+    The rate is from ImageJ's `finterval` or OME's `TimeIncrement`, the time between two frames, if present; ImageJ's
+    `fps` is the speed of playback and is ignored. The bit depth is the tag BitsPerSample.
     """
     complaints: list[str] = []  # messages of tifffile about a damaged file
 
@@ -123,6 +125,7 @@ def _describe(
     if min(height, width) < 1:
         raise FingerflowError(f"{path}: frames of {height} x {width} pixels cannot be; copy the file again")
     imagej = file.imagej_metadata or {}
+    ome = file.ome_metadata or ""
     count = math.prod(leading) * len(series)
     one_piece = alone and stack.dataoffset is not None
     frame_bytes = height * width * dtype.itemsize
@@ -167,6 +170,9 @@ def _describe(
         )
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
+    warnings += ["the times of frames in the file (DeltaT) are not used: check recording.frame_rate"] * (
+        "DeltaT=" in ome
+    )
     if complaints and whole == count:
         warnings.append(f"truncated or damaged: frames after the last of {whole} may be missing ({complaints[0]})")
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
@@ -179,12 +185,12 @@ def _describe(
             frame_shape=(height, width),
             dtype=dtype,
             bit_depth=page.bitspersample,
-            frame_rate=_rate(imagej),
+            frame_rate=_rate(imagej, ome),
             lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
             unreadable=damaged,
             orientation=str(page.tags.valueof("Orientation", 1)),
             warnings=tuple(warnings),
-            metadata={"axes": stack.axes, **{key: imagej[key] for key in ("finterval", "unit") if key in imagej}},
+            metadata={"axes": stack.axes},
         ),
         frames,
     )
@@ -208,9 +214,10 @@ def _damage(page: Any, size: int, frame_bytes: int) -> str:
     return ""
 
 
-def _rate(imagej: dict[str, Any]) -> float | None:
-    interval = imagej.get("finterval")
-    if not isinstance(interval, (int, float)) or not interval > 0:
-        return None
-    seconds = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "\\u00B5s": 1e-6, "µs": 1e-6, "min": 60.0}
-    return 1.0 / (interval * seconds.get(str(imagej.get("tunit", "sec")), 1.0))
+def _rate(imagej: dict[str, Any], ome: str) -> float | None:
+    stated: dict[str, Any] = dict(re.findall(r'(TimeIncrement\w*)="([^"]*)"', ome)) | imagej
+    unit = str(stated.get("tunit", stated.get("TimeIncrementUnit", "s"))).replace("\\u00B5", "u").removesuffix("ec")
+    with suppress(TypeError, ValueError):
+        interval = TO_SECONDS.get(unit, 0) * float(stated.get("finterval", stated.get("TimeIncrement", 0)))
+        return 1.0 / interval if interval > 0 else None
+    return None

@@ -311,15 +311,16 @@ def _open(path: Path) -> Any:
 
 
 def _first_picture(path: Path) -> tuple[bool, str]:
-    """Return whether the first picture of a video is interlaced, and the orientation that it states, "1" for none."""
+    """Return whether the first picture of a video is interlaced, and its display: "1", or the shape of pixels."""
     try:
         with _open(path) as container:
+            wide = container.streams.video[0].sample_aspect_ratio or 1
             picture = next(container.decode(video=0))
     except (FingerflowError, av.FFmpegError, StopIteration, ValueError, MemoryError):
         return False, "1"  # reported as an unreadable frame
     matrix = picture.side_data.get("DISPLAYMATRIX")
     upright = matrix is None or np.array_equal(np.sign(np.frombuffer(bytes(matrix), np.int32)[:5]), (1, 0, 0, 0, 1))
-    return picture.interlaced_frame, "1" if upright else "display matrix"
+    return picture.interlaced_frame, str(wide) if upright else "display matrix"
 
 
 def _lossy(codec: Any) -> str | None:

@@ -70,7 +70,8 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
     rows = ((share > 0) & ((share < 1) | (came > 0))).nonzero()[0]
     if not len(rows):
         return result
-    values = _stack_components(fields)[rows]
+    components = fields.divergence[:, None], fields.curl[:, None], fields.strain.transpose(0, 2, 1)
+    values = np.concatenate(components, axis=1)[rows]
     whole = np.isfinite(np.add.reduce(values, 1, keepdims=True))
     # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
     ordered = np.where(whole, values, np.float32(np.nan))
@@ -100,8 +101,3 @@ def strain_deviations(divergence_std: Array, curl_std: Array) -> Array:
     """
     of_element = np.sqrt(divergence_std**2 + curl_std**2)[..., None] / 2
     return of_element * np.array((1, 1, 0.5**0.5), np.float32)
-
-
-def _stack_components(fields: FrameFields) -> Array:
-    """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
-    return np.concatenate((fields.divergence[:, None], fields.curl[:, None], fields.strain.transpose(0, 2, 1)), axis=1)
