@@ -153,10 +153,8 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     # `restored`.
     for stage in reversed(plan.stages):
         if stage in computed:
-            for needed in plan.stages:
-                required = needed in stage.same_pass or (needed in stage.after and not needed.restored)
-                if required:
-                    computed.setdefault(needed, f"{stage.name} needs what only it knows")
+            for needed in (*stage.same_pass, *(earlier for earlier in stage.after if not earlier.restored)):
+                computed.setdefault(needed, f"{stage.name} needs what only it knows")
     taken = frozenset(stage for stage in plan.stages if stage not in computed)
     return Reused(earlier, path, taken, computed)
 

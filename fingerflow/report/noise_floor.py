@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import NoiseFloor, Scene
+from fingerflow.schema.scene_tables import NoiseFloor, Scene
 
 #: Outputs that `noise_floor` needs.
 MEASURED = ("displacement", "divergence", "strain")

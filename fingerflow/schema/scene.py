@@ -14,8 +14,6 @@ from fingerflow.schema.key_types import Reader
 from fingerflow.schema.scene_check import Keys, SceneCheck
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_tables import SCENE, SETTINGS_FORMAT, VIEW
-from fingerflow.schema.scene_tables import ForceSettings as ForceSettings
-from fingerflow.schema.scene_tables import NoiseFloor as NoiseFloor
 from fingerflow.schema.scene_tables import Scene as Scene
 from fingerflow.schema.scene_tables import Views as Views
 from fingerflow.schema.text_file import read_text

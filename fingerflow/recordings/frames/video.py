@@ -337,34 +337,20 @@ def _lossy(codec: Any) -> str | None:
 def unfinished(path: Path) -> str:
     """Return how a Matroska file (MKV, WebM) is incomplete, as text; "" if it is complete or in another format.
 
-    The program that writes the file states the segment's length only when it has finished. Source: RFC 9559 (Matroska)
-    and RFC 8794 (EBML), variable-size integers.
+    The program that writes the file states the segment's length only when it has finished; until then all of its bits
+    are 1. Source: RFC 9559 (Matroska) and RFC 8794 (EBML), variable-size integers: writers give it 8 bytes, of which
+    the first is 1.
     """
     with path.open("rb") as file:
         start, size = file.read(256), path.stat().st_size
-    if start[:4] != b"\x1aE\xdf\xa3":
+    segment = start.find(b"\x18S\x80g\x01")
+    if not start.startswith(b"\x1aE\xdf\xa3") or segment < 0:
         return ""
-    header, at = _variable_integer(start, 4)
-    at += header or 0
-    if start[at : at + 4] != b"\x18S\x80g":
-        return ""
-    length, begin = _variable_integer(start, at + 4)
-    if length is None:
+    length = start[segment + 5 : segment + 12]
+    if length == b"\xff" * 7:
         return "the file was never finished"
-    return f"the file has {size} of {begin + length} bytes" if begin + length > size else ""
-
-
-def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
-    """Return the integer of variable length (Matroska format) at byte `at` of `data`, and the position after it; the
-    integer is None if it is marked unknown.
-    """
-    first = data[at] if at < len(data) else 0
-    width = 9 - first.bit_length()
-    if width > 8:
-        return None, at
-    mask = (1 << 7 * width) - 1
-    value = int.from_bytes(data[at : at + width], "big") & mask
-    return (None if value == mask else value), at + width
+    end = segment + 12 + int.from_bytes(length, "big")
+    return f"the file has {size} of {end} bytes" if end > size else ""
 
 
 def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:

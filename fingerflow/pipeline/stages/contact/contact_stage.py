@@ -37,7 +37,7 @@ class ContactStage(Stage):
     The stage stores measured quantities, no images.
 
     Attributes:
-        reference_frame: the frame with most contact.
+        reference_frame: the frame with most contact; `moment` says in words which that is.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
         faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or by which
@@ -80,9 +80,9 @@ class ContactStage(Stage):
         at_first = self._changed(first)
         faults = [*plausibility.check_exposure(*at_first, first + self.first_frame)]
         self.warnings.extend(faults or plausibility.check_background(at_first[0], first + self.first_frame))
-        self.reference_frame = self._most_contact()
+        self.reference_frame, self.moment = self._most_contact()
         changed, appears = self._changed(self.reference_frame), self.inputs.scene.contact.appears
-        faults = faults or [*plausibility.check_contrast(*changed, appears, self.largest_load())]
+        faults = faults or [*plausibility.check_contrast(*changed, appears, self.moment)]
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
         self._threshold = self._fixed_threshold(faults)
         contact = self._contact(self.reference_frame)
@@ -296,12 +296,19 @@ class ContactStage(Stage):
         threshold = None if self._threshold is None else np.full(len(images), self._threshold, np.float32)
         return self._engine.contact(images, self._light, threshold)
 
-    def _most_contact(self) -> int:
-        if (force := self._usable_force()) is not None:
-            return int(np.nanargmax(force))
-        usable, looks = np.flatnonzero(self.usable), self._sampled_frames()
+    def _most_contact(self) -> tuple[int, str]:
+        """Return the usable frame that is expected to have most contact, and which that is in words: by the normal
+        force or, where it is unknown, by the darkest contact view.
+        """
+        normal = self.known("normal_force")
+        force = np.where(self.usable, np.nan if normal is None else normal, np.nan)
+        if not np.isnan(force).all():
+            frame = int(np.nanargmax(force))
+            return frame, f"the largest force (frame {frame + self.first_frame})"
+        looks = self._sampled_frames()
         shares = [self._brightness(self._counts(i)) for i in looks]
-        return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
+        frame = int(looks[int(np.nanargmin(shares))] if np.isfinite(shares).any() else np.argmax(self.usable))
+        return frame, f"the darkest frame ({frame + self.first_frame})"
 
     def _brightness(self, counts: NDArray[Any]) -> float:
         """Return the mean ratio of the intensity of a picture (1, h, w) to the light of the empty glass, both above the
@@ -339,25 +346,10 @@ class ContactStage(Stage):
                 raise FingerflowError(f"{path}: no contact: {faults[0]}")
             light, black = (image[0, 0] for image in self._glass_light)
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
-            clocks = (
-                "frame rate and trigger of [recording] and [forces], then " if self._usable_force() is not None else ""
-            )
+            clocks = "frame rate and trigger of [recording] and [forces], then " if "force" in self.moment else ""
             raise FingerflowError(
-                f"{path}: no contact at {self.largest_load()}: {seen or 'the contact view is that of the background'}. "
+                f"{path}: no contact at {self.moment}: {seen or 'the contact view is that of the background'}. "
                 f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "
                 "threshold to a number"
             )
         return threshold
-
-    def _usable_force(self) -> NDArray[np.float64] | None:
-        """Return the normal force (frames,) N, NaN in unusable frames; None if it is known in no other."""
-        normal = self.known("normal_force")
-        force = None if normal is None else np.where(self.usable, normal, np.nan)
-        return None if force is None or np.isnan(force).all() else force
-
-    def largest_load(self) -> str:
-        """Return in words which frame is expected to have most contact: by the normal force or, where it is unknown, by
-        the darkest contact view.
-        """
-        frame = self.reference_frame + self.first_frame
-        return f"the darkest frame ({frame})" if self._usable_force() is None else f"the largest force (frame {frame})"

@@ -10,7 +10,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings import Forces, open_forces
 from fingerflow.recordings.forces.newtons import to_newtons
-from fingerflow.schema.scene import ForceSettings
+from fingerflow.schema.scene_tables import ForceSettings
 from fingerflow.schema.variables import LOADING
 
 _LEAST_OFFSET = 0.2  # N, smallest offset of an unloaded sensor that is reported

@@ -95,7 +95,7 @@ class TrackingStage(Stage):
         self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
         if not self._region.any():
             self.warnings.append(
-                f"no contact at {contact.largest_load()}: there are no points and no deformation. Check frame rate and "
+                f"no contact at {contact.moment}: there are no points and no deformation. Check frame rate and "
                 f"trigger, then the views"
             )
             self._create(0)
