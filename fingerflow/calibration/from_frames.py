@@ -68,12 +68,6 @@ def calibrate(
         return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None), lens=lens)
     topography = find_discs(part("target", "topography"), part("background", "topography"), MOST_DISCS)
     contact = find_discs(part("target", "contact"), part("background", "contact"), MOST_DISCS)
-    if min(len(topography), len(contact)) < 3:
-        raise FingerflowError(
-            f"the registration target needs 3 discs in each view; found in the topography view: "
-            f"{_listed(topography)}; in the contact view: {_listed(contact)}. Check the pixel ranges of the views, and "
-            f"that all discs are inside both, lit and in focus"
-        )
     pairs = match_discs(topography, contact)
     from_points, to_points = (np.array([pair[side].center for pair in pairs]) for side in (0, 1))
     if lens is not None:
@@ -105,11 +99,6 @@ def _straight_radius(disc: Disc, lens: Lens, view: View) -> float:
 
 def _size(frame: Array) -> str:
     return f"{frame.shape[0]} rows x {frame.shape[1]} columns"
-
-
-def _listed(discs: list[Disc]) -> str:
-    positions = "; ".join(f"({disc.center[0]:.0f}, {disc.center[1]:.0f}) radius {disc.radius_px:.0f}" for disc in discs)
-    return f"{len(discs)} at (x, y) px {positions}" if discs else "none"
 
 
 def _warnings(hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Transform | None) -> tuple[str, ...]:

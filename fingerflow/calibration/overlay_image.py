@@ -5,7 +5,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from numpy.typing import ArrayLike, NDArray
@@ -58,7 +57,6 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
     for axes in figure.axes:
         axes.set(xticks=[], yticks=[])  # the layout would measure them though they are not drawn
         axes.set_axis_off()
-    FigureCanvasAgg(figure)
     figure.savefig(path, format="png", dpi=80)
 
 

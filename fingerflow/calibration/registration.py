@@ -1,5 +1,6 @@
 """Match discs between the two views, and fit the transform that registers the views."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -50,9 +51,13 @@ def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc
     about equally well.
     """
     if min(len(from_discs), len(to_discs)) < 3:
-        raise FingerflowError(f"{len(from_discs)} discs in one view and {len(to_discs)} in the other; 3 are needed")
-    from_triples = _triangles(from_discs, [list(triple) for triple in combinations(range(len(from_discs)), 3)])
-    to_triples = _triangles(to_discs, [list(triple) for triple in permutations(range(len(to_discs)), 3)])
+        raise FingerflowError(
+            f"the registration target needs 3 discs in each view; found in the topography view: {len(from_discs)} at "
+            f"(x, y) px {_centres(from_discs)}; in the contact view: {len(to_discs)} at {_centres(to_discs)}. Check "
+            f"the pixel ranges of the views, and that all discs are inside both, lit and in focus"
+        )
+    from_triples = _triangles(from_discs, combinations(range(len(from_discs)), 3))
+    to_triples = _triangles(to_discs, permutations(range(len(to_discs)), 3))
     from_triple, to_triple = _best_pair(from_discs, from_triples, to_discs, to_triples)
     pairs = [(from_discs[first], to_discs[second]) for first, second in zip(from_triple, to_triple, strict=True)]
     offsets = np.array([second.center for _, second in pairs])
@@ -72,7 +77,8 @@ def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
     center = source.mean(axis=0)
     if np.linalg.matrix_rank(source - center, tol=1e-9 * (np.abs(source - center).max() + 1e-300)) < 2:
         raise FingerflowError(f"the points {source.tolist()} lie on a line; an affine transform needs a triangle")
-    return _transform(np.linalg.lstsq(source - center, target - target.mean(axis=0), rcond=None)[0].T, source, target)
+    linear, *_ = np.linalg.lstsq(source - center, target - target.mean(axis=0), rcond=None)
+    return _transform(linear.T, source, target)
 
 
 def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
@@ -88,7 +94,8 @@ def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
     if size == 0:
         raise FingerflowError(f"the points {source.tolist()} coincide; a similarity needs two that differ")
     factor = np.sum(np.conj(z) * w) / size
-    return _transform(np.array([[factor.real, -factor.imag], [factor.imag, factor.real]]), source, target)
+    linear = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
+    return _transform(linear, source, target)
 
 
 def _point_pairs(from_points: ArrayLike, to_points: ArrayLike, least: int) -> tuple[Array, Array]:
@@ -112,11 +119,11 @@ def _centered_complex(points: Array) -> NDArray[np.complex128]:
     return centered[..., 0] + 1j * centered[..., 1]
 
 
-def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
+def _triangles(discs: list[Disc], triples: Iterable[tuple[int, ...]]) -> NDArray[np.int64]:
     """Return those triples (T, 3) of indices of discs that form triangles; raise FingerflowError if all triples are
     collinear.
     """
-    indices = np.array(triples)
+    indices = np.array(list(triples))
     corners = np.array([disc.center for disc in discs])[indices]
     sides = np.roll(corners, -1, axis=1) - corners
     double_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
@@ -139,16 +146,21 @@ def _best_pair(
     w = _centered_complex(np.array([disc.center for disc in to_discs])[to_triples])
     # All pairs of triangles at once. Of w = s z, sqrt(1 - |correlation|^2) is the residual as a share of the size of w;
     # the conjugate of z is its mirror image.
-    norms = np.linalg.norm(z, axis=1)[:, None] * np.linalg.norm(w, axis=1)
-    proper, mirrored = (np.sqrt(np.clip(1 - (np.abs(u @ w.T) / norms) ** 2, 0, 1)) for u in (np.conj(z), z))
-    scale = np.linalg.norm(w, axis=1) / np.linalg.norm(z, axis=1)[:, None]
+    from_size, to_size = np.linalg.norm(z, axis=1), np.linalg.norm(w, axis=1)
+
+    def distortion(shape: NDArray[np.complex128]) -> Array:
+        correlation = np.abs(shape @ w.T) / np.outer(from_size, to_size)
+        return np.sqrt(np.clip(1 - correlation**2, 0, 1))
+
+    proper, mirrored = distortion(np.conj(z)), distortion(z)
+    scale = to_size / from_size[:, None]
     growth = to_radii[to_triples] - from_radii[from_triples][:, None]
     size_error = np.sqrt(np.mean((growth - np.log(scale)[..., None]) ** 2, axis=2))
     size_cost = np.where(size_error < MOST_SIZE_ERROR, (size_error / TYPICAL_SIZE_ERROR) ** 2, np.inf)
     weight = from_weights[from_triples].mean(axis=1)[:, None] + to_weights[to_triples].mean(axis=1)
 
-    def score(distortion: Array) -> Array:
-        cost = np.where(distortion < MOST_DISTORTION, (distortion / TYPICAL_DISTORTION) ** 2, np.inf)
+    def score(residual: Array) -> Array:
+        cost = np.where(residual < MOST_DISTORTION, (residual / TYPICAL_DISTORTION) ** 2, np.inf)
         return np.exp(weight - (cost + size_cost) / 2)
 
     proper_score, mirrored_score = score(proper), score(mirrored)
@@ -159,8 +171,8 @@ def _best_pair(
         mirrored_score[mirror] > proper_score[first, second]
         and mirrored[mirror] < proper[first, second] - MIRROR_MARGIN
     ):
-        pairs = zip(from_triples[mirror[0]], to_triples[mirror[1]], strict=True)
-        from_points, to_points = zip(*((from_discs[a].center, to_discs[b].center) for a, b in pairs), strict=True)
+        from_points = [from_discs[index].center for index in from_triples[mirror[0]]]
+        to_points = [to_discs[index].center for index in to_triples[mirror[1]]]
         raise FingerflowError(
             f"the target is mirrored from one view to the other ({discs}). Where one view is seen in a mirror, write "
             f"the transform into [calibration] of the scene yourself, topography_to_contact = "

@@ -1,7 +1,7 @@
 """Panels of a figure: their letters and arrangement at a printed width."""
 
-import string
 from collections.abc import Sequence
+from string import ascii_uppercase
 from typing import Any
 
 from matplotlib.figure import Figure, SubFigure
@@ -11,17 +11,6 @@ from fingerflow.plot.captions import caption_of
 
 # mm, least width of a panel; if panels would be narrower, they are drawn in a column instead of a row.
 _BESIDE_MM = 50.0
-
-
-def panel_letter(number: int) -> str:
-    """Return the letter of a panel, counted from 0: A to Z, then AA, AB and so on.
-
-    >>> [panel_letter(number) for number in (0, 25, 26, 27)]
-    ['A', 'Z', 'AA', 'AB']
-    """
-    letters = string.ascii_uppercase
-    before = panel_letter(number // len(letters) - 1) if number >= len(letters) else ""
-    return before + letters[number % len(letters)]
 
 
 def row_of_panels(count: int, width_mm: float) -> tuple[Figure, Sequence[SubFigure]]:
@@ -41,10 +30,10 @@ def row_of_panels(count: int, width_mm: float) -> tuple[Figure, Sequence[SubFigu
 
 def letter_panel(part: SubFigure, number: int) -> None:
     """Write the letter of a panel, counted from 0, into its upper left corner."""
-    part.suptitle(panel_letter(number), x=0.01, ha="left", fontweight="bold")
+    part.suptitle(ascii_uppercase[number], x=0.01, ha="left", fontweight="bold")
 
 
 def join_captions(parts: Sequence[SubFigure], named: Sequence[str] = ()) -> list[str]:
     """Return one caption line per panel: letter, name (if names are given) and caption."""
     names = [f" ({name})" if name else "" for name in named] or [""] * len(parts)
-    return [f"{panel_letter(k)}{names[k]}. {caption_of(part)}" for k, part in enumerate(parts)]
+    return [f"{ascii_uppercase[k]}{names[k]}. {caption_of(part)}" for k, part in enumerate(parts)]

@@ -115,11 +115,12 @@ class _Figures:
         """Draw one figure for each pair (drawing function, variable) in `drawings`, passing the same settings, such as
         `against`, to every function.
         """
-        return [
-            self.drawn(on, "-".join((variable, *settings.values())), f"{on.get_title()} against {on.get_xlabel()}")
-            for draw, variable in drawings
-            for on in (draw(self.result, **settings),)
-        ]
+        figures = []
+        for draw, variable in drawings:
+            axes = draw(self.result, **settings)
+            label = f"{axes.get_title()} against {axes.get_xlabel()}"
+            figures.append(self.drawn(axes, "-".join((variable, *settings.values())), label))
+        return figures
 
 
 def write_report(

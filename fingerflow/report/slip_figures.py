@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,35 +18,28 @@ from fingerflow.models.partial_slip import (
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished, line_styles
 from fingerflow.plot.captions import describe
+from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.schema.rounding import format_uncertainty
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
 PRINTED = "moved by less than 40 µm"
 
 
-def draw_motion(
-    axes: Axes,
-    points: ArrayLike,
-    displacement: ArrayLike,
-    contact_outline: ArrayLike | None,
-    stuck_outline: ArrayLike | None,
-) -> Axes:
-    """Draw figure 1: displacement of the skin as arrows in true length, with outlines of contact and stick region.
-
-    Args:
-        points: (P, 2) mm, positions of the arrows' tails, y down.
-            displacement: (P, 2) mm; NaN draws no arrow.
-            contact_outline, stuck_outline: (K, 2) mm, drawn closed.
+def draw_motion(axes: Axes, result: xr.Dataset, frame: int) -> Axes:
+    """Draw figure 1: displacement of the skin since the first frame as arrows in true length, with outlines of contact
+    and stick region; `frame` is an index in the result.
     """
-    feet, arrows = np.asarray(points, dtype=float), np.asarray(displacement, dtype=float)
-    shown = np.isfinite(feet).all(1) & np.isfinite(arrows).all(1)
+    position, shown = result["position"].values.astype(np.float64), result.isel(frame=frame)
+    moved = position[frame] - position[0]
+    known = np.isfinite(moved).all(1)
     axes.quiver(
-        *feet[shown].T, *arrows[shown].T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.003, zorder=2
+        *position[0][known].T, *moved[known].T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.003, zorder=2
     )
-    for outline, colour, dashes, name in ((contact_outline, INK, "--", "contact"), (stuck_outline, RED, "-", "stuck")):
-        if outline is not None and len(np.asarray(outline)):
-            ring = np.asarray(outline, dtype=float)
-            axes.plot(*np.append(ring, ring[:1], 0).T, color=colour, linestyle=dashes, linewidth=1.4, label=name)
+    outlines = (contact_outline(shown), INK, "--", "contact"), (stuck_outline(shown), RED, "-", "stuck")
+    for outline, colour, dashes, name in outlines:
+        if outline is not None:
+            ring = np.append(outline, outline[:1], 0)
+            axes.plot(*ring.T, color=colour, linestyle=dashes, linewidth=1.4, label=name)
     axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if not axes.yaxis_inverted():
         axes.invert_yaxis()
@@ -55,7 +49,7 @@ def draw_motion(
     describe(
         axes,
         "Displacement of the skin as arrows at scale 1, with the outlines of the gross contact and of the stick "
-        f"region. n = {int(shown.sum())} points.",
+        f"region. n = {int(known.sum())} points.",
     )
     return axes
 

@@ -16,7 +16,6 @@ from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
 from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style, new_figure
 from fingerflow.plot.captions import describe
 from fingerflow.plot.figure_files import PNG, FigureFiles
-from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.plot.panels import join_captions, row_of_panels
 from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_trial, draw_trials
 from fingerflow.schema.rounding import format_uncertainty
@@ -123,8 +122,7 @@ def trial_figure(trial: SlipTrial, width_mm: float) -> Figure:
         left, middle, right = (part.subplots() for part in parts)
         # Show the last frame of slow loading, as the stick region has almost vanished later.
         frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
-        position, shown = np.asarray(result["position"]), result.isel(frame=frame)
-        draw_motion(left, position[0], position[frame] - position[0], contact_outline(shown), stuck_outline(shown))
+        draw_motion(left, result, frame)
         printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
         draw_trial(middle, area, load, verdict, trial.fit, printed)
         draw_over_time(right, result["time"], area, verdict, deviation, printed)

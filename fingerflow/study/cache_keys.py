@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.reuse import code_version
@@ -45,11 +44,6 @@ class InputFile:
     digest: str
     state: str = ""
 
-    @property
-    def whole(self) -> bool:
-        """Return True if the digest covers all bytes of the file, False if only samples of a large file."""
-        return self.size <= _WHOLE_BYTES
-
 
 @dataclass(frozen=True)
 class Keys:
@@ -60,12 +54,6 @@ class Keys:
     result: str
     row: str
     inputs: Mapping[str, InputFile]
-
-    @classmethod
-    def parse(cls, stored: Mapping[str, Any]) -> "Keys":
-        """Return the cache keys stored in `row.json`; raise KeyError or TypeError if the JSON holds anything else."""
-        inputs = {name: InputFile(**facts) for name, facts in stored["inputs"].items()}
-        return cls(stored["result"], stored["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
         """Return the scene-file keys, such as `recording.frames`, of the input files that differ between these cache
@@ -99,16 +87,15 @@ def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> 
 
 def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
     """Return size, times and digest of a file or folder, taking `earlier.digest` if nothing was written since."""
-    file = Path(str(path).partition("::")[0])
+    file, _, member = str(path).partition("::")
     try:
-        facts = [(path, path.stat()) for path in _list_files(file)]
+        facts = [(part, part.stat()) for part in _list_files(Path(file))]
         size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
-        state = digest_of(*((path.name, fact.st_ino, fact.st_ctime_ns) for path, fact in facts))
+        state = digest_of(*((part.name, fact.st_ino, fact.st_ctime_ns) for part, fact in facts))
         if earlier is not None and (earlier.size, earlier.modified, earlier.state) == (size, modified, state):
             return InputFile(str(path), size, modified, earlier.digest, state)
-        member = str(path).partition("::")[2].encode()
-        contents = (part for path, fact in facts for part in _content(path, fact.st_size))
-        digest = digest_of_bytes(chain([member], contents))
+        contents = (content for part, fact in facts for content in _content(part, fact.st_size))
+        digest = digest_of_bytes(chain([member.encode()], contents))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
     return InputFile(str(path), size, modified, digest, state)
@@ -119,7 +106,7 @@ def same_content(before: InputFile, now: InputFile) -> bool:
     only samples of a large file, so is the modification time.
     """
     unchanged = (before.size, before.digest) == (now.size, now.digest)
-    return unchanged and (before.modified == now.modified or now.whole)
+    return unchanged and (before.modified == now.modified or now.size <= _WHOLE_BYTES)
 
 
 @cache

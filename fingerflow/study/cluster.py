@@ -214,12 +214,8 @@ def _deployment(name: str) -> Callable[[], Any]:
 @contextmanager
 def _interrupt_on_sigterm() -> Iterator[None]:
     """Provide a context in which SIGTERM raises KeyboardInterrupt, as Ctrl-C does."""
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
     try:
-        before = signal.signal(signal.SIGTERM, stop)
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     except ValueError:  # signal handlers can be set in the main thread only
         yield
         return

@@ -19,6 +19,7 @@ from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.view_painter import ViewPainter
 from fingerflow.results.atomic_write import write_atomically, write_text
+from fingerflow.results.largest_load import frame_of_largest
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.scene import Scene
@@ -135,8 +136,8 @@ def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
         open_result(result) as opened,
         open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording,
     ):
-        area = opened["gross_contact_area"].fillna(0).values if "gross_contact_area" in opened else np.zeros(1)
-        picture = ViewPainter(opened, scene, recording).paint(int(np.argmax(area)))
+        largest = frame_of_largest(opened, ("gross_contact_area",)) or 0
+        picture = ViewPainter(opened, scene, recording).paint(largest)
     height = round(_THUMBNAIL_PX * picture.shape[0] / picture.shape[1])
     small = cv2.resize(picture, (_THUMBNAIL_PX, height), interpolation=cv2.INTER_AREA)
     encoded = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
@@ -151,10 +152,7 @@ def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
         measured = values["status"] == MEASURED
         rows.append(
             {
-                "name": entry.name,
-                "participant": entry.participant,
-                "condition": entry.condition,
-                "trial": entry.trial,
+                **vars(entry),
                 "answer": "" if entry.answer is None else "more slippery" if entry.answer else "not",
                 "status": values["status"],
                 "verdict": values["slip_verdict"] or "",

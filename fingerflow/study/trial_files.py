@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import TypeAdapter
+
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.digest import digest_of
 from fingerflow.results.atomic_write import write_text
@@ -43,6 +45,9 @@ class TrialRow:
     made: Mapping[str, Any] = field(default_factory=dict)
 
 
+_STORED = TypeAdapter(TrialRow)
+
+
 def has_result(folder: Path, trial: TrialRow) -> bool:
     """Return True if the result file that a trial's `row.json` names is in its folder and was not modified since it was
     written.
@@ -72,8 +77,6 @@ def read_row(folder: Path) -> TrialRow | None:
         stored = json.loads((folder / "row.json").read_text(encoding="utf-8"))
         if stored.pop(_DIGEST) != digest_of(stored):
             return None
-        keys = None if stored["keys"] is None else Keys.parse(stored["keys"])
-        content = None if stored["content"] is None else InputFile(**stored["content"])
-        return TrialRow(**{**stored, "keys": keys, "content": content})
+        return _STORED.validate_python(stored)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -34,6 +34,16 @@ LEAST = 0.35
 LEAST_SLOPE = 1.0
 
 
+class SkinPlanes(NamedTuple):
+    """Coefficients of the splines through contrast and contact level of the skin in an image, and (rows, columns) of
+    the image; the level is positive where the skin touches, and ridge and glass differ by 1 in it.
+    """
+
+    contrast: Tensor
+    level: Tensor
+    shape: tuple[int, int]
+
+
 @dataclass(frozen=True)
 class PictureTexture:
     """Skin from an image of a fingerprint, with dark touching ridges on bright glass as optical sensors deliver it.
@@ -60,10 +70,10 @@ class PictureTexture:
     centre: tuple[float, float] = (0.0, 0.0)
     border: float = 0.15
     border_width: float = 0.5
-    _levels: tuple[Tensor, Tensor, tuple[int, int]] = field(init=False, repr=False, compare=False)
+    _planes: SkinPlanes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_levels", _levels(Path(self.picture), self.dpi))
+        object.__setattr__(self, "_planes", _read_planes(Path(self.picture), self.dpi))
 
     @property
     def mm_per_px(self) -> float:
@@ -73,28 +83,29 @@ class PictureTexture:
     @property
     def size(self) -> tuple[float, float]:
         """Return width and height of the image, mm, between the centres of its outermost pixels."""
-        _, _, (rows, columns) = self._levels
+        rows, columns = self._planes.shape
         return (columns - 1) * self.mm_per_px, (rows - 1) * self.mm_per_px
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
-        value, _, _ = _spline(self._levels[0], *self._pixels(x, y))
+        value, _, _ = _spline(self._planes.contrast, *self._pixels(x, y))
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
         """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
         glass, positive inside; `depth` is the distance (mm) to the contact border, and ``share`` is ignored.
         """
-        value, by_column, by_row = _spline(self._levels[1], *self._pixels(x, y))
+        value, by_column, by_row = _spline(self._planes.level, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Convert material positions (x, y), mm, to column and row, px, in the fingerprint image with added border."""
-        _, _, (rows, columns) = self._levels
-        column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
-        return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
+        rows, columns = self._planes.shape
+        column = (x - self.centre[0]) / self.mm_per_px + 0.5 * (columns - 1) + SURROUND
+        row = (y - self.centre[1]) / self.mm_per_px + 0.5 * (rows - 1) + SURROUND
+        return column, row
 
 
 def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
@@ -107,10 +118,10 @@ def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> 
     texture = PictureTexture(Path(picture), dpi)
     plain = scene_class()
     # Skin under the edge of the contact: at the start and, if the finger travels, where skin enters at the front.
-    ellipses = {frame: plain.truth.ellipse(frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)}
-    edges = [
-        plain.truth.material(ellipse.edge(64), frame) for frame, ellipse in ellipses.items() if ellipse is not None
-    ]
+    edges = []
+    for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1):
+        if (ellipse := plain.truth.ellipse(frame)) is not None:
+            edges.append(plain.truth.material(ellipse.edge(64), frame))
     outline = np.concatenate(edges) - plain.contact_centre
     low, high = outline.min(axis=0), outline.max(axis=0)
     half = np.array(texture.size) / 2
@@ -121,20 +132,19 @@ def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> 
             f"{width:.1f} x {height:.1f} mm of skin; give the right resolution (--dpi) or a larger picture"
         )
     # Centroid of the touching ridges, relative to the centre of the image.
-    down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in texture._levels[2])
-    y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
+    rows, columns = texture._planes.shape
+    down = (torch.arange(rows, dtype=torch.float64) - 0.5 * (rows - 1)) * texture.mm_per_px
+    right = (torch.arange(columns, dtype=torch.float64) - 0.5 * (columns - 1)) * texture.mm_per_px
+    y, x = torch.meshgrid(down, right, indexing="ij")
     touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
     middle = np.array([float(x[touching].mean()), float(y[touching].mean())])
-    return replace(plain, texture=replace(texture, centre=tuple(np.clip(-middle, high - half, low + half).tolist())))
+    centre = np.clip(-middle, high - half, low + half).tolist()
+    return replace(plain, texture=replace(texture, centre=tuple(centre)))
 
 
 @lru_cache(maxsize=4)
-def _levels(picture: Path, dpi: float) -> tuple[Tensor, Tensor, tuple[int, int]]:
-    """Return spline coefficients of the skin's contrast and of its contact level in an image of a fingerprint, and the
-    shape of the image.
-
-    The contact level is positive where the skin touches, and scaled so that ridge and glass differ by 1.
-    """
+def _read_planes(picture: Path, dpi: float) -> SkinPlanes:
+    """Read an image of a fingerprint; raise FingerflowError as `PictureTexture`."""
     grey = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if grey is None:
         reason = "cannot be read as a picture" if picture.exists() else "does not exist"
@@ -163,7 +173,7 @@ def _levels(picture: Path, dpi: float) -> tuple[Tensor, Tensor, tuple[int, int]]
     full = np.quantile(spread, 0.8)
     skin = np.tanh((mean - plane) / (1.6 * spread + 0.3 * full)) * np.clip(spread / (0.4 * full), 0, 1)
     skin *= _edge_weights(plane.shape[0], period)[:, None] * _edge_weights(plane.shape[1], period)
-    return _coefficients(skin, 0.0), _coefficients(touching, -LEAST), grey.shape
+    return SkinPlanes(_coefficients(skin, 0.0), _coefficients(touching, -LEAST), grey.shape)
 
 
 def _edge_weights(count: int, period: float) -> Plane:

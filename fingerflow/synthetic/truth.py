@@ -99,13 +99,6 @@ class Truth:
         """Return the edge of the apparent contact in a frame, mm; None before contact."""
         return self._scene.ellipse(float(self.progress[frame]))
 
-    def gross_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Return the mask (H, W) of pixels of the contact view whose centre lies in the apparent contact."""
-        ellipse = self.ellipse(frame)
-        if ellipse is None:
-            return np.zeros(self._scene.views["contact"].shape, dtype=bool)
-        return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
-
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
         """Return the mask (H, W) of pixels of the contact view whose centre lies on a part of a ridge that touches the
         glass.
@@ -113,7 +106,10 @@ class Truth:
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self._scene.views["contact"].shape, dtype=bool)
-        return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
+        rows, columns = self._scene.views["contact"].shape
+        down, right = (torch.arange(size, dtype=torch.float64) * self.mm_per_px for size in (rows, columns))
+        y, x = torch.meshgrid(down, right, indexing="ij")
+        return (self._contact_margin(x, y, frame, ellipse) > 0).numpy()
 
     def gross_contact_area_mm2(self, frame: int) -> float:
         """Return the area of the elliptic apparent contact in a frame, mm²."""
@@ -199,10 +195,6 @@ class Truth:
     def _frame_progress(self, frame: int) -> Tensor:
         return torch.tensor(self.progress[frame], dtype=torch.float64)
 
-    def _pixel_centres(self) -> tuple[Tensor, Tensor]:
-        y, x = (torch.arange(size, dtype=torch.float64) * self.mm_per_px for size in self._scene.views["contact"].shape)
-        return x.expand(self._scene.views["contact"].shape), y[:, None].expand(self._scene.views["contact"].shape)
-
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
         depth, material = ellipse.distance(x, y), self._scene.material(x, y, self._frame_progress(frame))
         return torch.minimum(self._scene.ridge_margin(*material, depth), depth)
@@ -224,13 +216,14 @@ class Truth:
         onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
         place_gradient = forward + velocity[..., None] * onset_gradient
         gradient = self._gradient_since(points, frame, onset, place_gradient)
-        return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
+        return torch.where((torch.linalg.det(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
     def _gradient_since(self, points: Tensor, frame: int, onset: Tensor, reference: Tensor) -> Tensor:
         """Return the displacement gradient (..., 2, 2) of material points in a frame since a state with the deformation
         gradient ``reference``; NaN before their `onset` of contact, a progress.
         """
-        gradient = self._deformation(points, frame) @ _inverse(reference) - torch.eye(2, dtype=torch.float64)
+        inverse, _ = torch.linalg.inv_ex(reference)
+        gradient = self._deformation(points, frame) @ inverse - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._frame_progress(frame))[..., None, None], gradient, math.nan)
 
     def _deformation(self, points: Tensor, frame: int) -> Tensor:
@@ -248,7 +241,7 @@ class Truth:
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self._scene.material(positions[..., 0], positions[..., 1], progress)
             rows = [torch.autograd.grad(part.sum(), (positions, progress), retain_graph=True) for part in material]
-        forward = _inverse(torch.stack([row for row, _ in rows], dim=-2))
+        forward, _ = torch.linalg.inv_ex(torch.stack([row for row, _ in rows], dim=-2))
         by_progress = torch.stack([rate for _, rate in rows], dim=-1)
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
@@ -319,17 +312,6 @@ def _points(values: ArrayLike) -> Tensor:
     if points.shape[-1:] != (2,):
         raise ValueError(f"points have shape {tuple(points.shape)}; the last dimension must hold x and y")
     return points
-
-
-def _inverse(matrix: Tensor) -> Tensor:
-    """Return the inverse of 2 x 2 matrices; NaN and infinity propagate where LAPACK would raise."""
-    (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
-    adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
-    return adjugate / _determinant(matrix)[..., None, None]
-
-
-def _determinant(matrix: Tensor) -> Tensor:
-    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
 
 
 def _grid_around(ellipse: Ellipse, spacing: float) -> tuple[Tensor, Tensor, float]:

@@ -1,8 +1,8 @@
 """Access control of the server: static files are the same for all, and requests of data need the token of this run."""
 
-from starlette.datastructures import Headers
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from fingerflow.player.page_token import HEADER, is_token, new_token
 
@@ -52,12 +52,11 @@ class Guard:
 
 
 def _add_headers(send: Send, added: dict[str, str]) -> Send:
-    async def sending(message: object) -> None:
-        if isinstance(message, dict) and message["type"] == "http.response.start":
-            headers = list(message.get("headers", []))
-            stated = {name for name, _ in headers}
-            extra = [(name.lower().encode(), value.encode()) for name, value in added.items()]
-            message = {**message, "headers": [*headers, *(header for header in extra if header[0] not in stated)]}
-        await send(message)  # type: ignore[arg-type]
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in added.items():
+                headers.setdefault(name, value)
+        await send(message)
 
     return sending

@@ -1,6 +1,5 @@
 """Frames of a recording as 8-bit grey images for display, all with one contrast."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,14 +28,11 @@ class Pictures:
         counts = np.concatenate([sample[np.isfinite(sample)] for sample in samples])
         low, high = np.percentile(counts, (_DARKEST, _BRIGHTEST)) if counts.size else (0.0, 1.0)
         self._low, self._scale = float(low), 255 / max(float(high - low), 1e-9)
-        self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """Return a frame of the recording, given by its index in the file, as an 8-bit image (h, w), subsampled by
         `every`, with the recording's contrast.
         """
         shown = self.recording[frame][:: self.every, :: self.every]
-        if shown.dtype == np.uint8:
-            return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)
         grey = (shown.astype(np.float32) - self._low) * self._scale
         return np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)

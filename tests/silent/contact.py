@@ -123,7 +123,8 @@ def _sweat(pictures: Pictures, press: Press) -> Pictures:
     for radius, angle in zip(generator.uniform(0, 1.7, 12), generator.uniform(0, 2 * np.pi, 12), strict=True):
         patch = np.hypot(x - right - radius * np.cos(angle), y - down - radius * np.sin(angle)) < 0.3
         for frame in range(len(pictures)):
-            inside = patch & press.truth.gross_mask(frame)
+            progress = torch.tensor(press.truth.progress[frame])
+            inside = patch & (press.depth(torch.from_numpy(x), torch.from_numpy(y), progress) > 0).numpy()
             result[frame][inside] = np.minimum(result[frame][inside], 0.52)
     return result
 

@@ -114,7 +114,6 @@ def test_before_contact_and_without_contact_there_is_no_displacement() -> None:
     assert truth.ellipse(3) is None
     assert truth.gross_contact_area_mm2(3) == 0 == truth.real_contact_area_mm2(3)
     assert not truth.contact_mask(3).any()
-    assert not truth.gross_mask(3).any()
     assert math.isnan(truth.medians(3).divergence)
     never = np.array([[1.0, 1.0]])
     assert truth.onset_frame(never) == [-1]
@@ -149,8 +148,6 @@ def test_areas_equal_pixel_counts(scene: SyntheticScene) -> None:
     for frame in (100, LAST):
         ellipse = truth.ellipse(frame)
         assert ellipse is not None
-        # The error of counting lattice points in an ellipse of n px is of order n^(1/3): under 1e-3 at 10 000 px.
-        assert truth.gross_mask(frame).sum() * pixel == pytest.approx(truth.gross_contact_area_mm2(frame), rel=1e-3)
         assert truth.gross_contact_area_mm2(frame) == pytest.approx(math.pi * math.prod(ellipse.semi_axes))
         area = truth.real_contact_area_mm2(frame)
         # Some 20 ridges cross the edge, so pixel counts are less accurate than for a smooth ellipse.
