@@ -133,6 +133,7 @@ def test_a_trigger_within_a_step_leaves_the_first_frame_covered() -> None:
     [
         (TIMES, FRAMES + 10, r"0 to 1\.4999 s, the frames from 10\.2137 to 11\.2104 s"),
         (TIMES * 1e3, FRAMES, r"last 1\.5e\+03 s, the 300 frames 0\.997 s.*unit of the times"),  # ms read as s
+        (TIMES * 1e6, FRAMES, "unit of the times"),
         (TIMES * 1e-3, FRAMES - FRAMES[0], "unit of the times"),  # s read as ms
         (TIMES / 60, FRAMES - FRAMES[0], "unit of the times"),
         (np.arange(-2.0, 30) * 5, FRAMES, "unit of the times"),  # 0.2 Hz
