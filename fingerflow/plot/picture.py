@@ -18,7 +18,7 @@ from fingerflow.plot.axes_style import RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
 from fingerflow.plot.outlines import Values, contact_outline, matrix_of_view, stuck_outline, to_pixels
 from fingerflow.plot.wording import frame_text
-from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings import Recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
 
@@ -60,8 +60,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
         raise FingerflowError(f"frame {frame}: the result has {result.sizes['frame']}, from 0 on")
     inputs = open_inputs(scene, "cpu")
     with inputs.recording:
-        with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as whole:
-            check_recording(result, scene, whole)
+        check_recording(result, inputs.recording)
         counts = inputs.recording[[frame]].read()
         mask = None if name == "topography" else _mask(result, inputs, frame, counts)
     grey = scene.views[name].crop(counts)[0].astype(np.float64)
@@ -113,15 +112,13 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
     return contact.real_contact_mask[0, 0].numpy()
 
 
-def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-    """Raise FingerflowError if a result was computed from another recording."""
+def check_recording(result: xr.Dataset, frames: Recording) -> None:
+    """Raise FingerflowError if a result was computed from other frames than those that its scene selects."""
     stated = result.attrs.get("recording")  # missing in results of older versions
-    settings = scene.recording
-    end = len(recording) if settings.last_frame is None else settings.last_frame + 1
-    identity = identity_of(recording[settings.first_frame : end])
+    identity = identity_of(frames)
     if stated not in (None, identity):
         raise FingerflowError(
-            f"{settings.frames}: the result is not of these frames ({identity}), it was computed from "
+            f"{frames.path}: the result is not of these frames ({identity}), it was computed from "
             f"{result.attrs.get('frames')} ({stated}). Name the scene of the result, or process this scene again"
         )
 

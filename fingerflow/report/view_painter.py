@@ -26,22 +26,19 @@ class ViewPainter:
         """Prepare to paint the frames of a recording with their result; raise FingerflowError if the result was
         computed from another recording.
         """
-        check_recording(result, scene, recording)
+        first, last = scene.recording.first_frame, scene.recording.last_frame
+        self._frames = recording[first : len(recording) if last is None else last + 1]
+        check_recording(result, self._frames)
         self._result = result
         self._outlined = result[[name for name in _OUTLINED if name in result]]
-        self._recording = recording
         self._views = [(scene.views[name], matrix_of_view(result, name)) for name in shown_views(scene)]
         self._levels: dict[int, tuple[float, float]] = {}
-        self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
         """Return an RGB image (H, W, 3) of a frame, by its index in the result: its views side by side, with contact,
         points, and displacement arrows lengthened by `arrow_scale` (0: no arrows).
         """
-        picture, outlined = (
-            self._recording[self._first + frame],
-            self._outlined.isel(frame=frame, missing_dims="ignore"),
-        )
+        picture, outlined = self._frames[frame], self._outlined.isel(frame=frame, missing_dims="ignore")
         outlines = ((contact_outline(outlined), CONTACT, 1), (stuck_outline(outlined), STUCK, 2))
         parts = []
         for number, (view, matrix) in enumerate(self._views):

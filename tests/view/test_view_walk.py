@@ -79,7 +79,7 @@ def test_raw_files_are_processed_by_the_page_alone(browser: Any, files: Path, fi
         context = browser.new_context(viewport={"width": 1300, "height": 900})
         page = context.new_page()
         page.set_default_timeout(SLOW)
-        wrong: list[str] = []
+        wrong = []
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.goto(served.address)
         page.wait_for_selector("#picture[data-drawn]")
@@ -91,7 +91,7 @@ def test_raw_files_are_processed_by_the_page_alone(browser: Any, files: Path, fi
 
         walk(page, look)
         report = context.pages[-1]
-        assert report.locator("svg").count() > 20
+        report.locator("svg").nth(20).wait_for(state="attached")
         # The report is a page of its own: its requests to the server are refused.
         assert report.evaluate("async () => { try { await fetch('/api/setup'); return 1; } catch { return 0; } }") == 0
         context.close()
