@@ -142,7 +142,7 @@ class Player:
         self._drawing = False  # True while a frame is queued for the page
         self._first = math.nan
         self._last_trouble = ""
-        self._vibrates = self._faint = False
+        self._vibrates = self._faint = self._steps = False
 
     def run(self) -> dict[str, Any]:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
@@ -209,13 +209,18 @@ class Player:
             log.info("%s", few)
 
     def _log_faults(self) -> None:
-        """Log once that the rim of the contact is faint, and once that the whole image vibrates. Slides are left out of
-        the second: skin in contact and skin beside it may tremble together there.
+        """Log once that the rim of the contact is faint, that its area steps, and that the whole image vibrates. Slides
+        are left out of the last: skin in contact and skin beside it may tremble together there.
         """
+        slides = self.scene.kind == "slip"
+        view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2
+        for sentence in () if self._steps else self._findings.area_steps(view_mm2, slides):
+            self._steps = True
+            log.warning("%s", sentence)
         for sentence in () if self._faint else self._tracker.check_faint_rim():
             self._faint = True
             log.warning("%s", sentence)
-        if not self._vibrates and self.scene.kind != "slip" and (size := self._tracker.vibration_px()):
+        if not self._vibrates and not slides and (size := self._tracker.vibration_px()):
             self._vibrates = True
             log.warning("%s", vibration_warning(size, "displacement and strain contain this motion"))
 
@@ -517,11 +522,13 @@ class Player:
             fields["slip_flag"][index] = self._tracker.slipping
         else:
             self._layout.fill(fields, index, results, k)
-            counted = (results[name][k] for name in ("real_contact_area", "gross_contact_area", "median_divergence"))
-            self._findings.count(slot.number, outcome.tracked, *map(float, counted))
         if self._forces is not None:
             for name, force in self._forces.read(slot.number, slot.arrival).items():
                 fields[name][index] = force
+        if results is not None:
+            names = "real_contact_area", "gross_contact_area", "median_divergence", "normal_force"
+            counted = (float(fields[name][index]) for name in names if name in fields)
+            self._findings.count(slot.number, outcome.tracked, *counted)
         latency = time.perf_counter() - slot.arrival
         fields["frame"][index], fields["time"][index] = slot.number, slot.time - self._first
         fields["latency"][index], fields["frame_status"][index] = latency, outcome.status

@@ -264,7 +264,7 @@ class Entries:
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching], self._by_motion[~touching] = -1, False, False
         if np.logical_or.reduce(begins):
-            self._begun, self._touched = self._begun or self._frames, self._touched + np.count_nonzero(begins)
+            self._begun, self._touched = self._begun or self._frames, self._touched + int(begins.sum())
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
             self._change[begins], self._variance_of_time[begins] = 0, self._mean_of_time
