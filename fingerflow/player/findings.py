@@ -27,7 +27,7 @@ class Findings:
         self._usable = 0
         self._last = USABLE
         self._points = self._contact = False
-        self._areas: deque[tuple[int, float, float]] = deque(maxlen=_AREAS)  # frame number, gross area and normal force
+        self._areas: deque[tuple[int, float]] = deque(maxlen=_AREAS)  # frame number and gross area
         self._wide = self._unknown = 0  # frames with a wide contact, and those of them without median divergence
         self._first_unknown = self._last_unknown = -1
 
@@ -39,13 +39,11 @@ class Findings:
         begins, self._last = status != self._last, status
         return begins
 
-    def count(
-        self, frame: int, tracked: int, area: float, gross_area: float, median: float, force: float = math.nan
-    ) -> None:
-        """Count a usable frame by its number: number of tracked points, real and gross area in mm^2, median divergence,
-        and normal force in N.
+    def count(self, frame: int, tracked: int, area: float, gross_area: float, median: float) -> None:
+        """Count a usable frame by its number: number of tracked points, real and gross area in mm^2, and median
+        divergence.
         """
-        self._areas.append((frame, gross_area, force))
+        self._areas.append((frame, gross_area))
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
@@ -61,15 +59,13 @@ class Findings:
         """Yield warnings of steps of the gross area among the latest frames, as `process` gives them, from the area of
         the view, mm^2, and whether skin slides. Safe in any thread.
         """
-        numbers, gross, force = np.array([*self._areas]).reshape(-1, 3).T
-        if len(numbers):
-            index = (numbers - numbers[0]).astype(int)
-            series = np.full((2, index[-1] + 1), np.nan)
-            series[:, index] = gross, force
-            normal = None if np.isnan(force).all() else series[1]
-            yield from check_light_steps(series[0], view_area, int(numbers[0]))
-            if not slides:
-                yield from check_missing_frames(series[0], normal, int(numbers[0]))
+        areas = dict([*self._areas])
+        end = max(areas, default=0) + 1
+        first = max(min(areas, default=0), end - _AREAS)
+        gross = np.array([areas.get(frame, np.nan) for frame in range(first, end)])
+        yield from check_light_steps(gross, view_area, first)
+        if not slides:
+            yield from check_missing_frames(gross, None, first)
 
     def missing(self, threshold_known: bool) -> list[str]:
         """Return a warning sentence for each kind of result that was found in no frame of the stream; `threshold_known`
