@@ -60,9 +60,8 @@ class Findings:
         the view, mm^2, and whether skin slides. Safe in any thread.
         """
         areas = dict([*self._areas])
-        end = max(areas, default=0) + 1
-        first = max(min(areas, default=0), end - _AREAS)
-        gross = np.array([areas.get(frame, np.nan) for frame in range(first, end)])
+        first = max(areas, default=0) - _AREAS
+        gross = np.array([areas.get(first + k, np.nan) for k in range(_AREAS + 1)])
         yield from check_light_steps(gross, view_area, first)
         if not slides:
             yield from check_missing_frames(gross, None, first)

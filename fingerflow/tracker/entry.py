@@ -232,9 +232,8 @@ class Entries:
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
         self._covered = np.zeros((self.KEPT, count), dtype=bool)
         self._border = FrameEllipse(*(np.full((self.KEPT, *size), np.nan) for size in ((2,), (2,), ())))
-        # Number of frames so far, that of the frame after the first in which the first point touched, and the number of
-        # points that have touched since `learn_errors`.
-        self._frames = self._begun = self._touched = 0
+        # Number of frames so far, and of the frame after the first in which the first point touched.
+        self._frames = self._begun = 0
         self.onset, self._reference = np.full(count, -1), np.full((count, 2), np.nan)
         self.entered, self._by_motion = np.zeros((2, count), dtype=bool)  # second: by their own motion
         self.of_onset, self._change = np.zeros((2, count, 2, 2))
@@ -264,7 +263,7 @@ class Entries:
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching], self._by_motion[~touching] = -1, False, False
         if np.logical_or.reduce(begins):
-            self._begun, self._touched = self._begun or self._frames, self._touched + int(begins.sum())
+            self._begun = self._begun or self._frames
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
             self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
             self._change[begins], self._variance_of_time[begins] = 0, self._mean_of_time
@@ -313,14 +312,11 @@ class Entries:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion
         around their onset is known by now, or in part.
 
-        They are computed after every eighth frame, after each of the 16 frames in which the first points touch, as no
-        others, whose mean would do, have touched before, and where a third of the points has touched since, as in
-        streams of a slow camera.
+        They are computed after every eighth frame, and after each of the 16 frames in which the first points touch: no
+        others, whose mean would do, have touched before.
         """
-        few = 3 * self._touched <= np.count_nonzero(self.onset >= 0)
-        if self._frames % _EVERY and self._frames >= self._begun + 2 * _EVERY and few:
+        if self._frames % _EVERY and self._frames >= self._begun + 2 * _EVERY:
             return
-        self._touched = 0
         recent = self.onset >= max(self._frames - 2 * _EVERY, 1)
         first, last = max(self._frames - self.KEPT, 0), self._frames - 1
         if not recent.any():
