@@ -1,12 +1,17 @@
 """Warnings about results, such as contact, that were found in no frame of a stream, or in too few."""
 
 import math
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Iterator
+
+import numpy as np
 
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
+from fingerflow.tracker.area_steps import check_light_steps, check_missing_frames
 
 _WIDE_MM2 = 8.0  # mm², twice a usual gauge length in diameter; a smaller contact may lack a median divergence
+_AREAS = 4096  # number of latest frames whose areas are kept
 _MANY = 0.05  # share of the frames with such a contact without median divergence above which this is a warning
 
 
@@ -22,6 +27,7 @@ class Findings:
         self._usable = 0
         self._last = USABLE
         self._points = self._contact = False
+        self._areas: deque[tuple[int, float]] = deque(maxlen=_AREAS)  # frame number and gross area
         self._wide = self._unknown = 0  # frames with a wide contact, and those of them without median divergence
         self._first_unknown = self._last_unknown = -1
 
@@ -37,6 +43,7 @@ class Findings:
         """Count a usable frame by its number: number of tracked points, real and gross area in mm^2, and median
         divergence.
         """
+        self._areas.append((frame, gross_area))
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
@@ -47,6 +54,17 @@ class Findings:
                 self._first_unknown = self._first_unknown if self._unknown else frame
                 self._last_unknown = frame
                 self._unknown += 1
+
+    def area_steps(self, view_area: float, slides: bool) -> Iterator[str]:
+        """Yield warnings of steps of the gross area among the latest frames, as `process` gives them, from the area of
+        the view, mm^2, and whether skin slides. Safe in any thread.
+        """
+        areas = dict([*self._areas])
+        first = max(areas, default=0) - _AREAS
+        gross = np.array([areas.get(first + k, np.nan) for k in range(_AREAS + 1)])
+        yield from check_light_steps(gross, view_area, first)
+        if not slides:
+            yield from check_missing_frames(gross, None, first)
 
     def missing(self, threshold_known: bool) -> list[str]:
         """Return a warning sentence for each kind of result that was found in no frame of the stream; `threshold_known`

@@ -34,7 +34,6 @@ from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
 from fingerflow.tracker.reseeding import ThresholdSearch
-from fingerflow.tracker.vibration import vibration_warning
 
 log = logging.getLogger("fingerflow.player")
 
@@ -111,6 +110,7 @@ class Player:
         self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
         self._calls: Channel[bool] = Channel(1)  # for the measuring thread
         self._measuring = threading.Lock()  # held by the thread that measures
+        self._unfinished = False  # True while a thread measures, and for good once an exception has ended that
         self._records: Channel[tuple[int, Slot | None, Array | None]] = Channel(_RECORDS_WAITING)
         # Two more records than are queued: one is being filled, one written.
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
@@ -142,7 +142,7 @@ class Player:
         self._drawing = False  # True while a frame is queued for the page
         self._first = math.nan
         self._last_trouble = ""
-        self._vibrates = self._faint = False
+        self._logged = set[str]()  # faults that were logged
 
     def run(self) -> dict[str, Any]:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
@@ -209,15 +209,19 @@ class Player:
             log.info("%s", few)
 
     def _log_faults(self) -> None:
-        """Log once that the rim of the contact is faint, and once that the whole image vibrates. Slides are left out of
-        the second: skin in contact and skin beside it may tremble together there.
+        """Log once that the rim of the contact is faint, that its area steps, and that the whole image vibrates. Slides
+        are left out of the last: skin in contact and skin beside it may tremble together there.
         """
-        for sentence in () if self._faint else self._tracker.check_faint_rim():
-            self._faint = True
-            log.warning("%s", sentence)
-        if not self._vibrates and self.scene.kind != "slip" and (size := self._tracker.vibration_px()):
-            self._vibrates = True
-            log.warning("%s", vibration_warning(size, "displacement and strain contain this motion"))
+        slides = self.scene.kind == "slip"
+        view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2
+        for fault, sentences in {
+            "faint": self._tracker.check_faint_rim(),
+            "steps": self._findings.area_steps(view_mm2, slides),
+            "vibrates": () if slides else self._tracker.check_vibration(),
+        }.items():
+            for sentence in () if fault in self._logged else sentences:
+                self._logged.add(fault)
+                log.warning("%s", sentence)
 
     def stop(self) -> None:
         """End the stream cleanly: frames that have already arrived are still processed."""
@@ -448,8 +452,7 @@ class Player:
             if not self._alone or len(self._frames) > 1 or self._measuring.locked():
                 self._calls.put_newest(True)
             else:
-                with self._measuring:
-                    self._measure_outcomes()
+                self._measure_unless_failed()
         for outcome in self._tracker.settle():
             self._outcomes.put(outcome)
 
@@ -457,9 +460,18 @@ class Player:
 
     def _measure(self) -> None:
         while self._calls.get():
-            with self._measuring:
+            self._measure_unless_failed()
+        self._measure_unless_failed()
+
+    def _measure_unless_failed(self) -> None:
+        """Measure the tracked frames, unless an exception has ended this in either thread: a later frame's record would
+        be out of order.
+        """
+        with self._measuring:
+            if not self._unfinished:
+                self._unfinished = True
                 self._measure_outcomes()
-        self._measure_outcomes()
+                self._unfinished = False
 
     def _measure_outcomes(self) -> None:
         """Measure the tracked frames and pass on their records, `_AT_ONCE` at a time while others wait."""

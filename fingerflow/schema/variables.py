@@ -105,8 +105,8 @@ def _real_area_std(real_area: Any, threshold: Any) -> Any:
 
 
 def _ratio(part: Any, whole: Any) -> Any:
-    """Return the ratio of two areas, NaN where there is none, or no region whose part the first is."""
-    return part / (whole / ((whole > 0) & (whole != part)))
+    """Return the ratio of two areas, NaN where there is none."""
+    return part / (whole / (whole > 0))
 
 
 def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -> Any:
@@ -168,8 +168,7 @@ CONTACT = (
         formula=_real_area_std, of=("real_contact_area", "contact_threshold")),
     Variable("gross_contact_area", FRAME, "mm2",
         "apparent (gross) contact area, that of the region which the contact spans",
-        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim; "
-        "the real area where no such region is seen"),
+        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),
     Variable("gross_contact_area_std", FRAME, "mm2",
         "standard deviation of the gross contact area, by the ridge spacing",
         equation="σ² = (b p)² + c² s p + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "

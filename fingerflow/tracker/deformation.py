@@ -23,6 +23,7 @@ Array = NDArray[Any]
 
 #: Frames between two evaluations of what changes slowly: errors by gauge length and border.
 EVERY = 8
+_GROWN = 1.5  # growth of the contact after which they are evaluated sooner, as in streams of a slow camera
 # Errors of the medians of divergence, curl, exx, eyy and exy that tracked points have in common as their skin begins to
 # touch and looks different. Light and contrast of the ridges vary across a window near the border, so that positions at
 # onset are off towards the contact. Measured on presses with hardly any deformation, of real prints and the skin chain.
@@ -126,17 +127,19 @@ class Deformation:
 
     Attributes:
         bias: number of each evaluated frame, and the variance (5,) of its medians by gauge length and border; NaN where
-            the contact is too small for twice the gauge length. Every eighth frame is evaluated. Until it is known
-            in one, a stream evaluates every frame, and a batch its first eight.
+            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and one in which
+            the contact has grown. Until it is known in one, a stream evaluates every frame, and a batch its first
+            eight.
         latest: (5,) the latest of these variances that is known.
     """
 
     def __init__(self, engine: Engine, positions: Array) -> None:
         self._engine, self._smoothing = engine, SmoothingErrors(engine.settings.gauge_length_mm, positions)
-        # Variance of divergence and curl in the latest evaluated frame, and the mean square of these fields in it.
+        # Variance of divergence and curl in the latest evaluated frame, the mean square of these fields and the product
+        # of the contact's semi-axes in it.
         self._of_smoothing, self._square = np.zeros((1, 2, len(positions))), np.ones(1)
         self.bias: list[tuple[int, NDArray[np.float64]]] = []
-        self.latest = np.full(5, np.nan)
+        self.latest, self._area = np.full(5, np.nan), 0.0
 
     def step(self, skin: SkinFrames, onsets: Onsets) -> DeformedFrames:
         """Compute the results of n frames from the points tracked in them and what is known of their onsets."""
@@ -162,6 +165,10 @@ class Deformation:
         ranks = rank_variance(fields, entered is not None and entered.among)
         known = np.isfinite(fields.median[:, 0])
         evaluated = known & ((frames % EVERY == 0) | ((known.cumsum() <= EVERY) & np.isnan(self.latest[0])))
+        area = ellipse.semi_axes.prod(1)
+        for row in known.nonzero()[0]:
+            evaluated[row] |= area[row] > _GROWN * self._area
+            self._area = area[row] if evaluated[row] else self._area
         rows = evaluated.nonzero()[0]
         smoothing, course = self._of_smoothing, [self.latest]
         if len(rows):

@@ -228,8 +228,7 @@ def _far_at_end(
     last = usable.nonzero()[0][-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
-        noise, limit = ordinary
-        ordinary = noise, np.fmax(limit, _LEAST_AT_END)
+        ordinary = ordinary[0], np.fmax(ordinary[1], _LEAST_AT_END)
         for k, step in enumerate(steps):
             # Longest of the later steps: a finger that has begun to move moves on.
             usual_step = np.maximum(usual[last[k]], steps[k + 1 :].max(0, initial=0))

@@ -53,6 +53,7 @@ from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.points import STREAM, Points, join
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
+from fingerflow.tracker.vibration import vibration_warning
 
 Array = NDArray[Any]
 
@@ -338,11 +339,10 @@ class StreamTracker:
         """Return the slip flag after the last frame with results: whether skin in contact slips."""
         return self._results.slip.slipping
 
-    def vibration_px(self) -> float:
-        """Return the root mean square, px, of the vibration of the whole image in the last 512 frames with results; 0
-        without one. Safe in any thread.
-        """
-        return self._results.entries.vibration_px(self.geometry.topography_mm_per_px)
+    def check_vibration(self) -> Iterator[str]:
+        """Yield a warning if the whole image vibrates in the last 512 frames with results. Safe in any thread."""
+        if size := self._results.entries.vibration_px(self.geometry.topography_mm_per_px):
+            yield vibration_warning(size, "displacement and strain contain this motion")
 
     def check_faint_rim(self) -> Iterator[str]:
         """Yield a warning if the largest contact so far is faint at its rim. A contact that has just begun gives none:

@@ -26,10 +26,9 @@ class Sizes(NamedTuple):
     ellipse: FrameEllipse
 
     def by_name(self) -> dict[str, Array]:
-        """Return results by name. Where no region is seen, the gross area is stated as the real one, its least size."""
-        gross = np.where(self.gross > 0, self.gross, self.real)
+        """Return the results by name."""
         ellipse = {f"ellipse_{name}": values for name, values in self.ellipse._asdict().items()}
-        return {"real_contact_area": self.real, "gross_contact_area": gross, **ellipse}
+        return {"real_contact_area": self.real, "gross_contact_area": self.gross, **ellipse}
 
 
 class SizesOnGlass:

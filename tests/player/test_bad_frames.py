@@ -170,3 +170,19 @@ def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys:
     glass = np.load(small.folder / "trial" / "empty.npy")
     small.play(np.resize(glass, small.frames[:8].shape).astype(np.uint8))
     assert "no frame showed a contact" in capsys.readouterr().out
+
+
+def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixture) -> None:
+    """Frames that are missing in the file, and light that falls by half and stays, as a recording says them."""
+    dim = small.frames.copy()
+    dim[60:, :, small_trials.WIDTH :] //= 2
+    for frames, words in (
+        (small.frames, ""),
+        (np.delete(small.frames, np.s_[30:45], 0), "frames may be missing"),
+        (dim, "light has changed"),
+    ):
+        caplog.clear()
+        small.play(frames)
+        steps = [line for line in caplog.messages if "the gross contact area" in line]
+        assert words in str(steps)
+        assert bool(steps) == bool(words)

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import sys
+import threading
 from asyncio import CancelledError
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError
+from fingerflow.player.stream_player import Player
 from fingerflow.results.stream_folder import read_results
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
@@ -291,3 +293,14 @@ def test_wrong_options_are_named(stream: Stream, arguments: tuple[str, ...], sai
 def test_files_that_hold_no_frames_are_named(stream: Stream, suffix: str, said: str) -> None:
     (stream.folder / f"frames.{suffix}").write_bytes(b"12345")
     assert said in stream.refused("--source", str(stream.folder / f"frames.{suffix}"))
+
+
+def test_no_frame_is_measured_behind_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither of the two threads that measure goes on where the other has failed, in whichever order they run."""
+    fails = list[int]()
+    monkeypatch.setattr(Player, "_measure_outcomes", lambda player: fails.pop())
+    player = Player.__new__(Player)
+    player._measuring, player._unfinished = threading.Lock(), False
+    with pytest.raises(IndexError):
+        player._measure_unless_failed()
+    player._measure_unless_failed()  # which would raise

@@ -11,16 +11,20 @@ import pytest
 import xarray as xr
 
 import fingerflow
+from bench.contact_grid import skin_in_contact
 from fingerflow import player
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameContact, FrameEllipse, FrameFields, TrackedPoints
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
+from fingerflow.synthetic import Press, write_recording
 from fingerflow.tracker.frame_results import RESULTS, FrameResults, Seeding
 from fingerflow.tracker.frame_tracker import PAGE, FrameOutcome, StreamTracker
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM, join
 from fingerflow.tracker.reseeding import ReseedingSchedule
+from tests.silent import case as in_silence
+from tests.silent.deviations import medians_of
 from tests.small_trials import FRAMES, TRIALS, edit, recipe_of_trials, write_library_bundle, write_scene_of_bundle
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
@@ -225,3 +229,15 @@ def _without_passing_touch(recorded: xr.Dataset) -> Array:
     seen = touches.add_frames(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32), border)
     elsewhere = (seen.position != recorded["reference_position"].values).any(-1)
     return ~(seen.touching & elsewhere).any(1)
+
+
+def test_deviations_hold_in_a_stream_of_a_slow_camera(tmp_path: Path) -> None:
+    """The contact of a press grows by half from one frame to the next."""
+    press = Press(n_frames=9, frame_rate=15.0, frames_before_trigger=1, contact_time=0.05)
+    write_recording(tmp_path / "press", press)
+    result = in_silence.played(tmp_path / "press" / "scene.toml")
+    for frame in range(3, 9):
+        true = medians_of(press.truth.gradient(skin_in_contact(press, frame, 0.1), frame))
+        for name in ("divergence", "curl"):
+            median, deviation = (result[f"median_{name}{of}"].values[frame] for of in ("", "_std"))
+            assert abs(median - true[name]) < 2.5 * deviation

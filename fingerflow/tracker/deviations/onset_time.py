@@ -17,6 +17,7 @@ Array = NDArray[Any]
 #: mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
 ELLIPSE_MM = 0.035
 _ALIKE = np.eye(2, dtype=np.float32)  # shape of errors that are the same in all directions
+_LEAST = 1e-10  # mm^2/frame^2, of points whose speed is lost in noise: they, too, count from their onsets
 _LONGEST = 8  # largest number of frames on either side over which the speed at onset is measured
 
 
@@ -90,7 +91,8 @@ def onset_errors(
     slowest = np.fmax(frames_per_mm, 1 / approach)
     variance = np.where(counts, _crossing_variance(slowest) + (faint_mm * slowest) ** 2, 0.0)
     share = np.minimum(_crossing_variance(frames_per_mm) / np.maximum(variance, 1e-30), 1)
-    return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :], share
+    of_speed = speed[:, :, None] * speed[:, None, :] + _LEAST * _ALIKE
+    return variance, variance[:, None, None] * of_speed, share
 
 
 def displacement_covariance(variance: Array, of_onset: Array, shape: Array = _ALIKE) -> NDArray[np.float32]:

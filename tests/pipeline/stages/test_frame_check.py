@@ -59,12 +59,7 @@ def test_a_bad_first_and_last_frame(clean: Clean, tmp_path: Path) -> None:
             np.testing.assert_allclose(result[name].values[1:-1], expected[name].values[1:-1], rtol=5e-3, err_msg=name)
 
 
-def test_a_frame_that_comes_twice_is_found(clean: Clean, tmp_path: Path) -> None:
-    frames, places = clean.frames.copy(), [13, 25, 37, len(clean.frames) - 1]
-    for k in places:
-        frames[k] = frames[k - 1]
-    result = process(with_frames(clean, frames, tmp_path), ["frame_status"])
-    assert status_of(result) == dict.fromkeys(places, "repeated")
+def test_a_camera_that_gives_every_frame_twice_is_named(clean: Clean, tmp_path: Path) -> None:
     half = np.repeat(clean.frames[::2], 2, axis=0)
     result = process(with_frames(clean, half, tmp_path), ["frame_status"])
     assert status_of(result) == {}

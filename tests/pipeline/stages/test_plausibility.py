@@ -10,6 +10,7 @@ from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.report import write_report
+from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import check_faint_rim
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
@@ -19,8 +20,8 @@ def test_what_is_plausible_says_nothing() -> None:
     """Forces with an offset or none, the slowest growth of a real contact, and a slide are plausible."""
     areas = np.array([0.0, 1, 2, np.nan, 3])
     force, gross, nothing = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40), np.full(40, np.nan)
-    messages = [plausibility.check_areas(areas, 2 * areas, 100.0, 8, 0), plausibility.check_growth(force, force**0.1)]
-    messages += [plausibility.check_areas(nothing, nothing, 100.0, 8, 0), plausibility.check_onset(force, nothing, 0)]
+    messages = [plausibility.check_areas(areas, 2 * areas, 8, 0), plausibility.check_growth(force, force**0.1)]
+    messages += [plausibility.check_areas(nothing, nothing, 8, 0), plausibility.check_onset(force, nothing, 0)]
     messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
     messages += [plausibility.check_exposure(0.1, 0.88, 0), plausibility.check_views("", 0.0, 0.03)]
     messages += [plausibility.check_seeded_region(0.04)]
@@ -31,14 +32,14 @@ def test_what_is_plausible_says_nothing() -> None:
     for normal in (force, force + 0.02, 0.1 * force, nothing):
         messages += [plausibility.check_force(normal), plausibility.check_pressure(normal, gross)]
         messages += [plausibility.check_onset(normal, gross, 0), plausibility.check_growth(normal, gross)]
-        messages += [plausibility.check_missing_frames(gross, normal, 0)]
+        messages += [area_steps.check_missing_frames(gross, normal, 0)]
     messages += [plausibility.check_gauge(1.6, np.random.default_rng(0).uniform(0, 6, (400, 2)), 7.4)]
     assert not any(map(list, messages))
 
 
 def test_sentences_name_the_frames_and_the_numbers() -> None:
     real, gross = np.array([0.0, 5, 5, 5]), np.array([0.0, 6, 4, 3])
-    (more,) = plausibility.check_areas(real, gross, 100.0, 1, 10)
+    (more,) = plausibility.check_areas(real, gross, 1, 10)
     (gauge,) = plausibility.check_gauge(2.6, np.random.default_rng(0).uniform(0, 6, (400, 2)), 7.4)
     assert "gauge_length_mm = 2.6 is over a third of the width of the contact (7.4 mm)" in gauge
     for radius, width, narrow in ((6, 0.08, True), (7, 0.2, False)):
@@ -52,7 +53,7 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
         (saturated,) = plausibility.check_clipped("topography", np.minimum(np.arange(1000) * level // 950, level))
         assert f"5% of the topography view is saturated: its grey level is {level}" in saturated
     # An unusable frame between two frames does not hide a jump.
-    (jump,) = plausibility.check_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
+    (jump,) = area_steps.check_light_steps(np.array([3.0, np.nan, 60, 61]), 100.0, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
     (lost,) = plausibility.check_tracking(np.array([1, 0.4, 0.1]), *np.zeros((2, 3)), 5)
     assert "in 2 frames, the first is 6 (40%)" in lost
@@ -73,10 +74,10 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     (said,) = plausibility.check_growth(force, np.minimum(gross, 60))
     assert "and the contact no longer grows (60 mm²)" in said
     cut = np.delete(np.linspace(0, 80, 80), np.s_[30:50])
-    (said,) = plausibility.check_missing_frames(cut, None, 5)
+    (said,) = area_steps.check_missing_frames(cut, None, 5)
     assert "steps from 29.4 to 50.6 mm² between frames 34 and 35, 21 times as far" in said
     # If the force has the same step, the step is real.
-    assert not [*plausibility.check_missing_frames(cut, cut / 16, 5)]
+    assert not [*area_steps.check_missing_frames(cut, cut / 16, 5)]
     (said,) = plausibility.check_beginning(gross[10:], 10)
     assert "20.5 of 80 mm² touch in frame 10" in said
 

@@ -21,6 +21,7 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT, sparse_border_mm
+from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
@@ -129,10 +130,11 @@ class ContactStage(Stage):
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
-        self.warnings.extend(plausibility.check_areas(real, gross, area, radius, self.first_frame))
+        self.warnings.extend(plausibility.check_areas(real, gross, radius, self.first_frame))
+        self.warnings.extend(area_steps.check_light_steps(gross, area, self.first_frame))
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
-            self.warnings.extend(plausibility.check_missing_frames(gross, normal, self.first_frame))
+            self.warnings.extend(area_steps.check_missing_frames(gross, normal, self.first_frame))
         self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, self.first_frame))
         if normal is not None:
             self.warnings.extend(plausibility.check_pressure(normal, gross))

@@ -11,8 +11,6 @@ _NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # mm, plausible width of a view of skin:
 _FEW_RIDGES_MM2 = 1.0
 # Largest share of impulses among pixels; with twice as many 0.3 % of the positions are off by four deviations.
 _IMPULSES = 5e-4
-# Change of the contact area between successive frames, as a share of the view's area, that no contact reaches.
-_JUMP = 0.25
 # Shares of the requested points found, and of the points tracked, below which a warning is given.
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5
 _UNSEEDED = 0.05  # share of the contact far from the region of seeding, above which a warning is given
@@ -34,9 +32,6 @@ _SAFE = 1.5  # factor on the area expected by that law, above which a warning is
 _RISES, _FOLLOWS = 1.1, 0.05
 # Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
 _STARTS, _GROWS = 0.02, 1.1
-# Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
-# neighbouring frames on either side.
-_MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
 _CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is given
 _ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
@@ -207,7 +202,7 @@ def check_growth(normal: Series, gross: Series) -> Iterator[str]:
     """Yield a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
     measured = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
     last = measured[-(len(measured) // 10) :]
-    if len(last) < _BESIDE:
+    if len(last) < 4:
         return
     parts = np.array_split(last, 3)
     (force, more), (area, larger) = ([float(series[part].mean()) for part in parts[::2]] for series in (normal, gross))
@@ -233,46 +228,16 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
         )
 
 
-def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> Iterator[str]:
-    """Yield a warning if the gross area (mm^2) jumps between two successive frames, as if frames were missing.
-
-    A step of the force (N) by as large a share is a real one.
-    """
-    step, largest = np.abs(np.diff(gross)), float(np.nanmax(gross, initial=0.0))
-    if len(step) <= 2 * _BESIDE or not largest > 0:
-        return
-    around = np.lib.stride_tricks.sliding_window_view(step, 2 * _BESIDE + 1)
-    usual = np.max([np.median(steps, axis=1) for steps in (around[:, :_BESIDE], around[:, _BESIDE + 1 :])], axis=0)
-    touching = np.lib.stride_tricks.sliding_window_view(gross, 2 * _BESIDE + 2).min(1) > 0
-    steps = step[_BESIDE:-_BESIDE]
-    jumps = touching & (steps > _MISSING * usual) & (steps > _LEAST_STEP * largest)
-    if normal is not None:
-        by_force = np.abs(np.diff(normal))[_BESIDE:-_BESIDE] / max(float(np.nanmax(normal, initial=0.0)), 1e-9)
-        jumps &= ~(by_force > steps / largest / 2)
-    frames = np.flatnonzero(jumps) + _BESIDE
-    if len(frames):
-        frame = frames[0]
-        yield (
-            f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
-            f"{frame + first_frame} and {frame + 1 + first_frame}, "
-            f"{step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} times as far as in the frames around: frames may "
-            f"be missing there, and all times after it be wrong, or a second contact merges with the first. Copy the "
-            f"recording again, give one whose file has time stamps, or leave the other contact out by "
-            f"views.contact.region"
-        )
-
-
 def check_frames(frames: int) -> Iterator[str]:
     """Yield a warning if a recording has only one selected frame."""
     if frames <= 1:
         yield "one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"
 
 
-def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> Iterator[str]:
-    """Yield warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
+def check_areas(real: Series, gross: Series, radius_px: int, first_frame: int) -> Iterator[str]:
+    """Yield a warning if the real contact area exceeds the gross area; areas in mm^2.
 
-    `view_area` is the area of the view, mm^2. Of a contact that has less than a few ridges, the deviation of the gross
-    area says so.
+    Of a contact that has less than a few ridges, the deviation of the gross area says so.
     """
     more = np.flatnonzero((real > gross) & (gross > _FEW_RIDGES_MM2))
     if len(more):
@@ -281,16 +246,6 @@ def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, f
             f"in {len(more)} frames, the first is {frame + first_frame}, the real contact area is larger than the "
             f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm²), of which it is a part: contact.gross_radius_px "
             f"= {radius_px} is less than half the distance between ridges"
-        )
-    measured = np.flatnonzero(np.isfinite(gross))
-    jumps = np.flatnonzero(np.abs(np.diff(gross[measured])) > _JUMP * view_area)
-    if len(jumps):
-        before, after = measured[jumps[0]], measured[jumps[0] + 1]
-        yield (
-            f"the gross contact area jumps from {gross[before]:.3g} to {gross[after]:.3g} mm² between frames "
-            f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
-            f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
-            f"recording.first_frame and last_frame"
         )
 
 

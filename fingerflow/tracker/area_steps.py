@@ -1,0 +1,62 @@
+"""Steps of the gross contact area from one frame to the next that no contact makes, in recordings and streams.
+
+Areas are in mm^2 and forces in N, one value a frame from number `first_frame` on, NaN where there is none.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.tracker.frame_distances import LONGEST
+
+# Change of the contact area between successive frames, as a share of the view's area, that no contact reaches.
+_JUMP = 0.25
+# Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
+# neighbouring frames on either side.
+_MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
+Series = NDArray[np.float64]
+
+
+def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> Iterator[str]:
+    """Yield a warning if the gross area jumps between two successive frames, as if frames were missing.
+
+    A step of the force by as large a share is a real one.
+    """
+    step, largest = np.abs(np.diff(gross)), float(np.nanmax(gross, initial=0.0))
+    if len(step) <= 2 * _BESIDE or not largest > 0:
+        return
+    around = np.lib.stride_tricks.sliding_window_view(step, 2 * _BESIDE + 1)
+    usual = np.max([np.median(steps, axis=1) for steps in (around[:, :_BESIDE], around[:, _BESIDE + 1 :])], axis=0)
+    touching = np.lib.stride_tricks.sliding_window_view(gross, 2 * _BESIDE + 2).min(1) > 0
+    steps = step[_BESIDE:-_BESIDE]
+    jumps = touching & (steps > _MISSING * usual) & (steps > _LEAST_STEP * largest)
+    if normal is not None:
+        by_force = np.abs(np.diff(normal))[_BESIDE:-_BESIDE] / max(float(np.nanmax(normal, initial=0.0)), 1e-9)
+        jumps &= ~(by_force > steps / largest / 2)
+    frames = np.flatnonzero(jumps) + _BESIDE
+    if len(frames):
+        frame = frames[0]
+        yield (
+            f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
+            f"{frame + first_frame} and {frame + 1 + first_frame}, "
+            f"{step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} times as far as in the frames around: frames may "
+            f"be missing there, and all times after it be wrong, or a second contact merges with the first. Copy the "
+            f"recording again, give one whose file has time stamps, or leave the other contact out by "
+            f"views.contact.region"
+        )
+
+
+def check_light_steps(gross: Series, view_area: float, first_frame: int) -> Iterator[str]:
+    """Yield a warning if the gross area jumps by more than a contact does, from the area of the view, mm^2."""
+    measured = np.flatnonzero(np.isfinite(gross))
+    far = np.abs(np.diff(gross[measured])) > _JUMP * view_area
+    jumps = np.flatnonzero(far & (np.diff(measured) <= LONGEST + 1))
+    if len(jumps):
+        before, after = measured[jumps[0]], measured[jumps[0] + 1]
+        yield (
+            f"the gross contact area jumps from {gross[before]:.3g} to {gross[after]:.3g} mm² between frames "
+            f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
+            f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
+            f"recording.first_frame and last_frame"
+        )
