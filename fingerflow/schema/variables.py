@@ -177,7 +177,7 @@ CONTACT = (
     Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
         equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse"),
     Variable("ellipse_center_std", ("frame", "xy"), "mm", "standard deviation of ellipse_center",
-        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_center",)),
+        equation="0.028 mm, and faint_rim_mm", formula=_ellipse_std, of=("ellipse_center",)),
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
         equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),
     Variable("ellipse_semi_axes_std", ("frame", "axis"), "mm", "standard deviation of ellipse_semi_axes",
