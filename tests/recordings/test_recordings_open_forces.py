@@ -167,13 +167,9 @@ def test_a_line_that_is_cut_off_does_not_count(tmp_path):
     [
         (CSV["comma"], {"channels": ["normal", "shear"]}, r"'shear'.*'normal', 'tangential', 'trigger'"),
         (CSV["comma"], {"trigger": "sync"}, r"'sync'.*'trigger'"),
-        (CSV["comma"], {"time": "clock"}, "'clock'"),
         ("time (s),normal (lbf)\n0,1\n1,2\n", {}, r"'normal' is in 'lbf'.*mN"),
         ("time (s),normal\n0,1\n1,2\n", {}, r"'normal' has no unit.*units="),
         ("time (h),normal (N)\n0,1\n1,2\n", {}, r"'h'.*ms"),
-        ("a (N),b (N)\n0,1\n1,2\n", {}, "sample_rate="),
-        ("time (s),normal (N)\n0,1\n1,2\n1,3\n2,4\n", {}, "sample 2 has the same time"),
-        ("time (s),normal (N)\n", {}, "no sample"),
         ("time (s),normal (N),normal (N)\n0,1,2\n", {}, "'normal' appears twice"),
         ("time (s)\n0\n1\n", {}, "no channel"),
         ("", {}, "no line"),

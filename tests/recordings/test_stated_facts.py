@@ -27,13 +27,11 @@ GERMAN = "time (s);Fz (N)\n" + LINES.replace(",", ";").replace(".", ",")
 HEADING = "time (s),Fz (N)\n"
 READ = {
     "UTF-16": (HEADING + LINES).encode("utf-16"),
-    "UTF-32": (HEADING + LINES).encode("utf-32"),
     "German UTF-16": GERMAN.encode("utf-16"),
     "heading in a comment": ("# " + HEADING + LINES).encode(),
     "MATLAB comment": ("% made by a program\n%" + HEADING + LINES).encode(),
     "comment and blanks": ("# time (s) Fz (N)\n" + LINES.replace(",", " ")).encode(),
     "quoted decimal commas": (HEADING + re.sub(r"(\d)\.(\d+)", r'"\1,\2"', LINES)).encode(),
-    "quoted cells": (HEADING + re.sub(r"([\d.]+)", r'"\1"', LINES)).encode(),
     "a comma in a quoted name": ('"time (s)","Fz (N)","Fx, left (N)"\n' + re.sub("\n", ",0\n", LINES)).encode(),
 }
 REFUSED = {
