@@ -186,7 +186,7 @@ CONTACT = (
     Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
         equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse"),
     Variable("ellipse_center_std", ("frame", "xy"), "mm", "standard deviation of ellipse_center",
-        equation="√((0.028 mm)² + (0.035 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴))",
+        equation="√((0.028 mm)² + (0.035 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴)), and faint_rim_mm",
         formula=_ellipse_std, of=("ellipse_center", "ellipse_semi_axes")),
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
         equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),

@@ -107,8 +107,6 @@ def test_numbers_of_frames(path):
             recording[[0, wrong]]
     with pytest.raises(TypeError, match="flatnonzero"):
         recording[np.ones(11, bool)]
-    with pytest.raises(TypeError):
-        recording[1.5]
 
 
 def test_rate_is_never_guessed_and_follows_the_view(path):

@@ -29,13 +29,12 @@ GREY16 = RNG.integers(1, 4096, (6, 20, 30)).astype(np.uint16)
 # Special files
 
 
-@pytest.mark.parametrize("name", ["a.tif", "a.h5", "a.mkv", "a.png", "a.csv", "a.mat", "take 1.cih"])
+@pytest.mark.parametrize("name", ["a.tif", "a.h5", "a.mkv", "a.png", "take 1.cih"])
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
     write_photron(tmp_path, stored(MRAW_FRAMES), ".other")
     os.mkfifo(tmp_path / name)
-    opens = open_forces if name in ("a.csv", "a.mat") else open_recording
     with pytest.raises(FingerflowError, match=rf"{name}: is a pipe, not a file; copy"):
-        opens(tmp_path / ("take 1.mraw" if name == "take 1.cih" else name))
+        open_recording(tmp_path / ("take 1.mraw" if name == "take 1.cih" else name))
 
 
 # Folders of images
@@ -48,11 +47,10 @@ def numbered(folder: Path, numbers, pattern="frame_{:03d}.png") -> Path:
 
 
 def test_a_missing_number_is_a_frame_that_cannot_be_read(tmp_path):
-    step = 10
-    recording = open_recording(numbered(tmp_path, [5, 5 + step, 5 + 3 * step, 5 + 4 * step]), frame_rate=100)
+    recording = open_recording(numbered(tmp_path, [5, 15, 35, 45]), frame_rate=100)
     assert len(recording) == 5
     assert dict(recording.unreadable) == {2: "has no file"}
-    np.testing.assert_array_equal(recording.read()[:, 0, 0], [5, 5 + step, 0, 5 + 3 * step, 5 + 4 * step])
+    np.testing.assert_array_equal(recording.read()[:, 0, 0], [5, 15, 0, 35, 45])
     np.testing.assert_allclose(recording.times, np.arange(5) / 100)  # frames after the gap keep their times
     assert "1 of 5 images are missing by their numbers, the first between" in recording.warnings[0]
     assert dict(recording[1:4].unreadable) == {1: "has no file"}
@@ -344,7 +342,6 @@ def test_frames_of_a_damaged_video_are_flagged(tmp_path):
         ("a.mp4", "libx264", "yuv420p", {"qp": "10"}, "h264"),
         ("a.mkv", "libx264", "yuv420p", {"qp": "0"}, None),
         ("a.avi", "mjpeg", "yuvj420p", {}, "mjpeg"),
-        ("a.avi", "mpeg4", "yuv420p", {}, "mpeg4"),
         ("a.mkv", "ffv1", "gray", {}, None),
     ],
 )

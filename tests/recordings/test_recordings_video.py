@@ -22,7 +22,6 @@ def frames_of(bits: int) -> np.ndarray:
 
 LOSSLESS = [
     ("a.avi", "rawvideo", "gray", 8),
-    ("a.avi", "ffv1", "gray", 8),
     ("a.mkv", "ffv1", "gray12le", 12),
     ("a.mkv", "ffv1", "gray16le", 16),
     ("a.avi", "rawvideo", "bgr24", 8),
@@ -49,7 +48,6 @@ INTER_CODED = [
     ("a.mov", "libx264", {"bf": "3", "g": "1000", "qp": "10"}),
     ("a.mkv", "libx264", {"bf": "3", "g": "7", "qp": "10", "x264-params": "open-gop=1"}),
     ("a.avi", "libx264", {"bf": "3", "g": "12", "qp": "10"}),
-    ("a.avi", "mpeg4", {"g": "10", "b": "8000000"}),
     ("a.mkv", "libvpx-vp9", {"g": "15"}),
 ]
 

@@ -97,12 +97,12 @@ def test_a_correlation_has_its_line(axes: Axes) -> None:
     assert float(axes.get_title().split()[1]) == pytest.approx(0.4, rel=1e-2)
 
 
-def test_few_trials_have_no_line(axes: Axes) -> None:
-    """Four dots of one participant lie on a line by chance: no slope and no R² is stated."""
-    metrics.draw_correlation(
-        axes, read_trials({name: np.array(values) for name, values in FOUR.items()}), "curl", "strain"
-    )
-    assert axes.get_title() == "no line: no interval from 1 participants: 3 are needed"
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_few_trials_have_no_line(count: int, axes: Axes) -> None:
+    """A few dots of one participant lie on a line by chance: no slope and no R² is stated."""
+    few = read_trials({name: np.array(values[:count]) for name, values in FOUR.items()})
+    metrics.draw_correlation(axes, few, "curl", "strain")
+    assert axes.get_title().startswith("no line: ")
     assert len(axes.lines) == 1
 
 

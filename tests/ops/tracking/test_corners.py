@@ -1,11 +1,13 @@
 """Tests of corners against OpenCV's response, a plain greedy loop, and squares whose corners are known."""
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from fingerflow.ops.tracking.corners import corner_response, detect_corners
 
@@ -47,6 +49,24 @@ def test_selection_equals_the_greedy_rule(distance: float) -> None:
         assert found.tolist() == [list(point) for point in expected]
         x, y = found.unbind(1)
         assert torch.equal(corners.response[b][corners.valid[b]], response[b, 0, y, x])
+
+
+class Operations(TorchDispatchMode):
+    """Counter of the operations of torch: a loop over candidates has as many as corners."""
+
+    count = 0
+
+    def __torch_dispatch__(self, operation: Any, types: Any, arguments: Any = (), options: Any = None) -> Any:
+        self.count += 1
+        return operation(*arguments, **(options or {}))
+
+
+@pytest.mark.parametrize("size", [128, 256, 512])
+def test_corners_are_selected_together(size: int) -> None:
+    frame = torch.from_numpy(texture(0, (size, size)))[None, None]
+    with Operations() as operations:
+        detect_corners(frame, 700)
+    assert operations.count < 700
 
 
 def test_mask_and_border_hold() -> None:

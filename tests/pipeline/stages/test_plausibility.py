@@ -13,7 +13,7 @@ from fingerflow.report import write_report
 from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import check_faint_rim
 from tests.pipeline.stages.conftest import Change
-from tests.small_trials import warnings_of
+from tests.small_trials import TINY_PRESS, warnings_of
 
 
 def test_what_is_plausible_says_nothing() -> None:
@@ -89,13 +89,25 @@ def test_pictures_that_contradict_the_settings_are_said(changed: Change, frames:
     fixed = {'threshold = "reference_frame"': "threshold = 0.27"}
     finger = process(changed(fixed, empty=frames[3]), ["gross_contact_area"])
     assert "background.frames is darker than frame 0 in " in warnings_of(finger)
-    for first in ("# first_frame = 0", "first_frame = 2"):
+    for first in ("# first_frame = 0", "first_frame = 2", "first_frame = 5"):
         with pytest.raises(FingerflowError, match="the background is the recording itself"):
             process(changed({"# first_frame = 0": first}, empty=frames))
     dim = frames.copy()
     dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
     warnings = warnings_of(process(changed(fixed, frames=dim), ["gross_contact_area"]))
     assert "mm² between frames 3 and 4: more likely the light has changed" in warnings
+
+
+@pytest.mark.parametrize("width_px", [20, 30, 40])
+def test_the_centre_holds_a_rim_that_is_pale_on_one_side(
+    width_px: int, press: Path, frames: Array, changed: Change
+) -> None:
+    glass, share = np.load(press / "empty.npy").astype(float), np.ones(240)
+    share[120:] = np.clip((np.arange(120) - 25) / width_px, 0.1, 1)
+    pale = (glass - (glass - frames) * share).clip(0, 255).astype(np.uint8)
+    result = process(changed(frames=pale), ["ellipse_center", "ellipse_center_std"])
+    error = np.abs(result["ellipse_center"].values[-1] - TINY_PRESS.contact_centre)
+    assert (error < 2.5 * result["ellipse_center_std"].values[-1]).all()
 
 
 def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array) -> None:

@@ -140,8 +140,8 @@ class ContactStage(Stage):
             self.warnings.extend(plausibility.check_pressure(normal, gross))
             self.warnings.extend(plausibility.check_onset(normal, gross, self.first_frame))
             self.warnings.extend(plausibility.check_growth(normal, gross))
-        faint = {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
-        self.about["gross_contact_area"] = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} | faint
+        period_mm = self._period_px * self.inputs.mm_per_px
+        self.about["gross_contact_area"] = {"ridge_period_mm": period_mm, "faint_rim_mm": self.faint_rim_mm}
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
@@ -158,7 +158,7 @@ class ContactStage(Stage):
             "gross_contact_area_std": rim_mm * around,
             "real_contact_area_std": self._pale_rim_mm * around * ratio,
             "contact_area_ratio_std": max(rim_mm - self._pale_rim_mm, 0) * around * ratio / gross,
-            "ellipse_semi_axes_std": np.full(1, rim_mm),
+            **dict.fromkeys(("ellipse_center_std", "ellipse_semi_axes_std"), rim_mm),
         }.items():
             if name in self.results:
                 self.results[name][:] = np.hypot(self.results[name][:], np.nan_to_num(more))
