@@ -158,7 +158,7 @@ def _draw(
     """
     axes = given_or_new(axes)
     variable = VARIABLES[curves[0][-1]]
-    label = variable.add_unit(words) if words else variable.axis_label
+    label = variable.shown_unit.heading(words) if words else variable.axis_label
     _, x, x_label = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
         drawn = np.isfinite(values) & np.isfinite(x)

@@ -38,7 +38,7 @@ METRICS = (
 def metric_label(metric: str) -> str:
     """Return the axis label of a metric; `_difference` in its name stands for comparison minus reference."""
     column = NUMBERS[metric.removesuffix(DIFFERENCE)]
-    return column.add_unit(f"{column.words} difference" if metric.endswith(DIFFERENCE) else column.words)
+    return column.shown_unit.heading(f"{column.words} difference" if metric.endswith(DIFFERENCE) else column.words)
 
 
 def _defined(metric: str) -> str:

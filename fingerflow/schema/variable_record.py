@@ -102,15 +102,11 @@ class Variable:
     @property
     def axis_label(self) -> str:
         """Return an axis label with the shown unit, such as "median divergence (µm/mm)"."""
-        return self.add_unit(self.words)
+        return self.shown_unit.heading(self.words)
 
     def shown_values(self, values: Any) -> Any:
         """Convert values from the unit in the data set to the unit shown in figures and reports."""
         return self.shown_unit.factor * values
-
-    def add_unit(self, words: str) -> str:
-        """Return a label followed by the shown unit in brackets."""
-        return self.shown_unit.heading(words)
 
     def shown(self) -> dict[str, object]:
         """Return what a web page needs to show the variable: label, unit, factor, decimals, and the unit to show it in

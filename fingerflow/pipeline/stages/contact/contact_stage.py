@@ -346,9 +346,9 @@ class ContactStage(Stage):
             path = self.inputs.recording.path
             if faults:
                 raise FingerflowError(f"{path}: no contact: {faults[0]}")
-            light, black = (image[0, 0] for image in self._glass_light)
-            seen = view_faults.described(frame[0] - black, light, self.reference_frame)
-            clocks = "frame rate and trigger of [recording] and [forces], then " if "force" in self.moment else ""
+            seen = view_faults.described(frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame)
+            no_forces = self.inputs.scene.forces is None
+            clocks = "" if no_forces else "frame rate and trigger of [recording] and [forces], then "
             raise FingerflowError(
                 f"{path}: no contact at {self.moment}: {seen or 'the contact view is that of the background'}. "
                 f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "

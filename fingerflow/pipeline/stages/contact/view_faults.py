@@ -198,10 +198,10 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     moved = check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf))
     if causes := [*check_background_lines(light)] or [*moved]:
         return causes[0]
-    share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
-    level = float(np.nanmedian(share)) if np.isfinite(share).any() else 1.0
+    share = np.divide(frame, light, out=np.ones(light.shape), where=light > 0)
+    level = float(np.median(share))
     # The middles of two halves of a view are half of its side apart.
-    halves = [[float(np.nanmedian(half)) for half in np.array_split(share, 2, axis)] for axis in (0, 1)]
+    halves = [[float(np.median(half)) for half in np.array_split(share, 2, axis)] for axis in (0, 1)]
     across = 2 * float(np.linalg.norm(np.diff(halves)))
     fall = across / (level + across / 2)
     if fall > _UNEVEN:

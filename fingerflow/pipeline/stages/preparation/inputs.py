@@ -209,7 +209,8 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.check_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
-    warnings += plausibility.check_frames(len(selected))
+    if len(selected) == 1:
+        warnings.append("one frame: nothing has moved since, displacement, divergence and strain are 0 by definition")
     return Inputs(scene, selected, times, chosen, warnings, _engine(engine, scene, chosen))
 
 

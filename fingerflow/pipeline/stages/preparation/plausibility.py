@@ -228,12 +228,6 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
         )
 
 
-def check_frames(frames: int) -> Iterator[str]:
-    """Yield a warning if a recording has only one selected frame."""
-    if frames <= 1:
-        yield "one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"
-
-
 def check_areas(real: Series, gross: Series, radius_px: int, first_frame: int) -> Iterator[str]:
     """Yield a warning if the real contact area exceeds the gross area; areas in mm^2.
 

@@ -78,14 +78,14 @@ class NewSkin:
         if before is not None:
             old = len(before[0])
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
-        numbers, far, side = np.flatnonzero(tracked), self._window / 2 * self._per_px, self._cell * _STEP
+        followed, far, side = np.flatnonzero(tracked), self._window / 2 * self._per_px, self._cell * _STEP
         # Nearest points are searched only for cells that touch, or soon may, without a point nearby: a press has few.
-        cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[numbers]), initial=0.0) / side) + 1
+        cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[followed]), initial=0.0) / side) + 1
         square = np.ones((2 * min(cells_ahead, max(touching.shape)) + 1,) * 2, np.uint8)
         empty = np.pad(cv2.dilate(touching.astype(np.uint8), square), 1)  # with a border for points outside
         around = np.arange(-int(far / side) - 1, int(far / side) + 2)
-        number = np.floor((position[numbers] + 0.5) / side).astype(int)[..., None] + around
-        apart = ((number * _STEP + 0.5) * self._cell - 0.5 - position[numbers, :, None]) ** 2
+        number = np.floor((position[followed] + 0.5) / side).astype(int)[..., None] + around
+        apart = ((number * _STEP + 0.5) * self._cell - 0.5 - position[followed, :, None]) ** 2
         point, down, across = np.nonzero(apart[:, 1, :, None] + apart[:, 0, None] <= far**2)
         row, column = number[point, 1, down], number[point, 0, across]
         empty[row.clip(-1, touching.shape[0]) + 1, column.clip(-1, touching.shape[1]) + 1] = 0
@@ -94,18 +94,18 @@ class NewSkin:
             return None
         rows, columns = np.indices(touching.shape)
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
-        tree = cKDTree(position[numbers])
+        tree = cKDTree(position[followed])
         nearest = tree.query(at[cells])[1]
-        coming = at[cells] + _AHEAD * way[numbers[nearest]]
+        coming = at[cells] + _AHEAD * way[followed[nearest]]
         soon = self._in(touching, at[cells]) | self._in(touching, coming)
         if not soon.any():
             return None
-        cells, nearest = cells[soon], numbers[nearest[soon]]
+        cells, nearest = cells[soon], followed[nearest[soon]]
         new = cKDTree(position).query(at[cells])[0] > far
         new[new] = self._is_new(at[cells[new]], moved[nearest[new]], seeding[nearest[new]])
         if new.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
             return None
-        nearest = numbers[tree.query(at)[1]]
+        nearest = followed[tree.query(at)[1]]
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
         downstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0)
         window = self._window * self._per_px
