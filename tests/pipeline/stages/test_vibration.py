@@ -53,5 +53,4 @@ def test_vibration_is_named_and_adds_no_energy(trials: Path, tmp_path: Path) -> 
     assert "the whole image vibrates, by 0." in warnings_of(moved)
     assert "vibrates" not in warnings_of(still)
     off = np.abs(moved["strain_energy"] - still["strain_energy"]).values
-    # NaN in frames in which a pixel alone counts as contact.
-    assert np.nanmax(off - 3 * np.hypot(moved["strain_energy_std"], still["strain_energy_std"]).values) <= 1e-5
+    assert (off <= 3 * np.hypot(moved["strain_energy_std"], still["strain_energy_std"]).values + 1e-5).all()
