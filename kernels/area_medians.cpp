@@ -5,7 +5,7 @@
 // is H = G (I - G)^-1; the fields are its divergence, curl and strain, and the median of each field is the result. Its
 // standard deviation is sqrt(sum_k s_k' C_k s_k), with the sensitivity s_k of the median to point k of covariance C_k.
 // Layout: coordinates are in radii from the ellipse's centre, in the current configuration. Points are sorted into
-// cells, as arrays x, y, u, v; positions go in blocks of kAreaBlock, one a lane, as arrays [quantity][kAreaBlock], each
+// cells, as arrays x, y, u, v, noise; positions go in blocks of kAreaBlock, one a lane, as arrays [quantity][kAreaBlock], each
 // block with its own copy of the points within a radius. Sensitivities of a point are kAreaShares floats, two components
 // a field.
 #include <math.h>
@@ -30,7 +30,7 @@ struct AreaSettings {
 // The points that may lie within a radius of a position of the block; `number` is the index in the frame's sorted
 // points.
 struct AreaPoints {
-    const float *x, *y, *u, *v;
+    const float *x, *y, *u, *v, *noise;  // noise: variance of the displacement over its mean
     const std::int32_t* number;
     std::int64_t count;
 };
@@ -40,6 +40,7 @@ struct AreaFits {
     float known[kAreaBlock];                              // 0 or 1
     float center_x[kAreaBlock], center_y[kAreaBlock];     // weighted centroid of the points
     float inverse[3][kAreaBlock], share[kAreaBlock];      // inverse second moments xx, xy, yy; 1 / sum of weights
+    float noise[kAreaBlock];                              // weighted mean of the points'
     float gradient[4][kAreaBlock];                        // displacement gradient H by reference coordinates: ux, uy, vx, vy
     float fields[kAreaFields][kAreaBlock];
 };
@@ -47,14 +48,15 @@ struct AreaFits {
 // Which positions count towards a median's error: those whose field lies near the median.
 struct AreaBeside {
     float median[kAreaFields];
-    float xx, xy, yy;    // mean covariance of a point
+    float own[4];        // mean covariance of a point
     float reach, even;   // constants of fingerflow/ops/fields/area_medians.py
 };
 
 namespace FINGERFLOW_ISA {
 namespace {
 
-constexpr int kSums = 13;  // count, w, w times x, y, xx, xy, yy, u, v, ux, uy, vx, vy, with x and y relative to the position
+// Count, w, w times x, y, xx, xy, yy, u, v, ux, uy, vx, vy and noise, with x and y relative to the position.
+constexpr int kSums = 14;
 
 void sum(const AreaPoints& points, const AreaFits& fits, float (&to)[kSums][kAreaBlock]) {
     for (int first = 0; first < kAreaBlock; first += kFloats) {
@@ -65,30 +67,26 @@ void sum(const AreaPoints& points, const AreaFits& fits, float (&to)[kSums][kAre
             const Floats closeness = positive(1.0f - (x * x + y * y));
             const Floats w = closeness * closeness, wx = w * x, wy = w * y;
             const float u = points.u[k], v = points.v[k];
-            const Floats terms[kSums] = {is_positive(closeness), w, wx, wy, wx * x, wx * y, wy * y, w * u, w * v, wx * u, wy * u, wx * v, wy * v};
+            const Floats terms[kSums] = {is_positive(closeness), w, wx, wy, wx * x, wx * y, wy * y, w * u, w * v, wx * u, wy * u, wx * v, wy * v, w * points.noise[k]};
             for (int s = 0; s < kSums; ++s) sums[s] += terms[s];
         }
         for (int s = 0; s < kSums; ++s) store(to[s] + first, sums[s]);
     }
 }
 
-// Derivatives of the fields by the gradient, [field][component][direction].
+// Derivatives of the fields by the gradient, [field][component][direction]; `to` is 0 before.
 void sensitivity(std::int64_t measure, const float (&gradient)[4][kAreaBlock],
                  float (&to)[kAreaFields][2][2][kAreaBlock]) {
     for (int q = 0; q < kAreaBlock; ++q) {
         const float forward[2][2] = {{1 + gradient[0][q], gradient[1][q]}, {gradient[2][q], 1 + gradient[3][q]}};
         const float identity[2][2] = {{1, 0}, {0, 1}};
         to[0][0][0][q] = to[0][1][1][q] = 1;
-        to[0][0][1][q] = to[0][1][0][q] = 0;
-        to[1][0][0][q] = to[1][1][1][q] = 0;
         to[1][0][1][q] = -1;
         to[1][1][0][q] = 1;
         for (int c = 0; c < 2; ++c) {
             const float* const direct = measure == 2 ? identity[c] : forward[c];
             const float* const mixed = measure == 0 ? forward[c] : identity[c];
             to[2][c][0][q] = direct[0];
-            to[2][c][1][q] = 0;
-            to[3][c][0][q] = 0;
             to[3][c][1][q] = direct[1];
             to[4][c][0][q] = mixed[1] / 2;
             to[4][c][1][q] = mixed[0] / 2;
@@ -140,6 +138,7 @@ void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& 
         fits.center_x[q] = x + fits.x[q];
         fits.center_y[q] = y + fits.y[q];
         fits.share[q] = share;
+        fits.noise[q] = sums[13][q] * share;
         fits.inverse[0][q] = a, fits.inverse[1][q] = b, fits.inverse[2][q] = d;
         fits.gradient[0][q] = hxx, fits.gradient[1][q] = hxy, fits.gradient[2][q] = hyx, fits.gradient[3][q] = hyy;
         fits.fields[0][q] = hxx + hyy;
@@ -155,10 +154,9 @@ void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& 
 // 2 kAreaBlock count floats.
 void add_shares(const AreaSettings& settings, const AreaPoints& points, const AreaFits& fits, const AreaBeside& beside,
                 float* memory, float* shares, float (&total)[kAreaFields]) {
-    float by_gradient[kAreaFields][2][2][kAreaBlock], share[kAreaFields][kAreaBlock], any[kAreaBlock] = {};
+    float by_gradient[kAreaFields][2][2][kAreaBlock] = {}, share[kAreaFields][kAreaBlock], any[kAreaBlock] = {};
     sensitivity(settings.measure, fits.gradient, by_gradient);
-    const float own[2][2] = {{beside.xx, beside.xy}, {beside.xy, beside.yy}};
-    const float even = beside.even / (settings.radius * settings.radius), reach = beside.reach * beside.reach;
+    const float even = beside.even * beside.reach * beside.reach / (settings.radius * settings.radius);
     for (int field = 0; field < kAreaFields; ++field) {
         FINGERFLOW_INDEPENDENT
         for (int q = 0; q < kAreaBlock; ++q) {
@@ -167,13 +165,13 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
                 for (int e = 0; e < 2; ++e) {
                     const float cx = by_gradient[field][c][0][q], cy = by_gradient[field][c][1][q];
                     const float ex = by_gradient[field][e][0][q], ey = by_gradient[field][e][1][q];
-                    variance += own[c][e] * (cx * ex * fits.inverse[0][q] + (cx * ey + cy * ex) * fits.inverse[1][q] +
-                                             cy * ey * fits.inverse[2][q]);
+                    variance += beside.own[2 * c + e] * (cx * ex * fits.inverse[0][q] + (cx * ey + cy * ex) * fits.inverse[1][q] +
+                                                        cy * ey * fits.inverse[2][q]);
                 }
-            variance *= even * fits.share[q] * reach;
-            const float away = fits.fields[field][q] - beside.median[field];
-            const float left = 1 - away * away / (variance > 1e-30f ? variance : 1e-30f);
-            share[field][q] = left > 0 ? left * left * fits.known[q] : 0.0f;
+            variance *= even * fits.share[q] * fits.noise[q];
+            const float away = fits.fields[field][q] - beside.median[field], wide = variance > 1e-30f ? variance : 1e-30f;
+            const float left = 1 - away * away / wide;
+            share[field][q] = left > 0 ? left * left * fits.known[q] / sqrtf(wide) : 0.0f;
         }
         for (int q = 0; q < kAreaBlock; ++q) {
             total[field] += share[field][q];
@@ -240,7 +238,7 @@ FINGERFLOW_OTHER_SETS(fit_area)
 FINGERFLOW_OTHER_SETS(add_shares)
 namespace {
 
-constexpr std::int64_t kNumbers = 5;  // copied for each point of a block: x, y, u, v and its index
+constexpr std::int64_t kNumbers = 6;  // copied for each point of a block: x, y, u, v, noise and its index
 
 // max(|distance| - half, 0) without a branch.
 float beyond(float distance, float half) {
@@ -321,7 +319,7 @@ private:
         const std::int64_t count = given_.point_count;
         std::vector<std::int64_t> usable;
         usable.reserve(size(count));
-        double mean_u = 0, mean_v = 0, xx = 0, xy = 0, yy = 0;
+        double mean_u = 0, mean_v = 0, sums[4] = {};
         for (std::int64_t k = 0; k < count; ++k) {
             const float u = displacement_[2 * k], v = displacement_[2 * k + 1];
             bool good = std::isfinite(reference_[2 * k] + u) && std::isfinite(reference_[2 * k + 1] + v);
@@ -334,9 +332,7 @@ private:
             if (covariance_ != nullptr) {
                 const float* const own = covariance_ + 4 * k;
                 good = good && std::isfinite(own[0] + own[1] + own[3]) && own[0] >= 0 && own[3] >= 0;
-                xx += good ? own[0] : 0;
-                xy += good ? own[1] : 0;
-                yy += good ? own[3] : 0;
+                for (int c = 0; c < 4; ++c) sums[c] += good ? own[c] : 0;
             }
             if (!good) continue;
             usable.push_back(k);
@@ -345,10 +341,8 @@ private:
         }
         const double among = static_cast<double>(std::max<std::size_t>(usable.size(), 1));
         const auto level_u = static_cast<float>(mean_u / among), level_v = static_cast<float>(mean_v / among);
-        beside_.xx = static_cast<float>(xx / among);
-        beside_.xy = static_cast<float>(xy / among);
-        beside_.yy = static_cast<float>(yy / among);
-
+        for (int c = 0; c < 4; ++c) beside_.own[c] = static_cast<float>(sums[c] / among);
+        const float mean = std::max(beside_.own[0] + beside_.own[3], 1e-30f);
         const float radius = settings_.radius, cosine = ellipse_[4], sine = ellipse_[5];
         half_x_ = std::hypot(ellipse_[2] * cosine, ellipse_[3] * sine) / radius + 1.01f;
         half_y_ = std::hypot(ellipse_[2] * sine, ellipse_[3] * cosine) / radius + 1.01f;
@@ -364,7 +358,7 @@ private:
         }
         for (std::size_t k = 1; k < starts_.size(); ++k) starts_[k] += starts_[k - 1];
         const std::size_t near = size(starts_.back());
-        for (std::vector<float>* one : {&x_, &y_, &u_, &v_}) one->resize(near);
+        for (std::vector<float>* one : {&x_, &y_, &u_, &v_, &noise_}) one->resize(near);
         number_.resize(near);
         std::vector<std::int64_t> next(starts_.begin(), starts_.end() - 1);
         for (std::size_t n = 0; n < usable.size(); ++n) {
@@ -375,6 +369,7 @@ private:
             y_[to] = place(k, 1);
             u_[to] = displacement_[2 * k] - level_u;
             v_[to] = displacement_[2 * k + 1] - level_v;
+            noise_[to] = covariance_ == nullptr ? 0 : (covariance_[4 * k] + covariance_[4 * k + 3]) / mean;
             number_[to] = k;
         }
     }
@@ -472,8 +467,8 @@ private:
     // Copies the points within a radius of a box to `memory`, which has space for all of them.
     AreaPoints near(float low_x, float low_y, float high_x, float high_y, float* memory) const {
         const auto room = static_cast<std::int64_t>(number_.size());
-        float *const x = memory, *const y = x + room, *const u = y + room, *const v = u + room;
-        auto* const number = reinterpret_cast<std::int32_t*>(v + room);
+        float *const x = memory, *const y = x + room, *const u = y + room, *const v = u + room, *const noise = v + room;
+        auto* const number = reinterpret_cast<std::int32_t*>(noise + room);
         const float middle_x = (low_x + high_x) / 2, half_x = (high_x - low_x) / 2;
         const float middle_y = (low_y + high_y) / 2, half_y = (high_y - low_y) / 2;
         std::int64_t count = 0;
@@ -486,12 +481,13 @@ private:
                 y[count] = y_[size(k)];
                 u[count] = u_[size(k)];
                 v[count] = v_[size(k)];
+                noise[count] = noise_[size(k)];
                 number[count] = static_cast<std::int32_t>(k);
                 const float dx = beyond(x_[size(k)] - middle_x, half_x), dy = beyond(y_[size(k)] - middle_y, half_y);
                 count += dx * dx + dy * dy < 1.00001f;
             }
         }
-        return {x, y, u, v, number, count};
+        return {x, y, u, v, noise, number, count};
     }
 
     // Standard deviations of the medians, from the points' covariances and the medians' sensitivities to them.
@@ -506,11 +502,12 @@ private:
                 if (block.apart[q] >= 0 && block.fits.known[q] > 0) {
                     block.fits.known[q] = 0;  // no fit
                     for (int field = 0; field < kAreaFields; ++field) {
-                        const float own = apart_deviations_[kAreaFields * block.apart[q] + field], wide = beside_.reach * own;
-                        const float away = block.fits.fields[field][q] - medians_[field];
-                        const float left = std::max(1 - away * away / std::max(wide * wide, 1e-30f), 0.0f);
-                        total[field] += left * left;
-                        joint[field] += left * left * own;
+                        const float own = apart_deviations_[kAreaFields * block.apart[q] + field];
+                        const float wide = std::max(beside_.reach * own, 1e-15f);
+                        const float away = (block.fits.fields[field][q] - medians_[field]) / wide;
+                        const float left = std::max(1 - away * away, 0.0f), weight = left * left / wide;
+                        total[field] += weight;
+                        joint[field] += weight * own;
                     }
                 }
         std::vector<float> all(number_.size() * kAreaShares), memory;
@@ -527,7 +524,7 @@ private:
             }
         }
         for (int field = 0; field < kAreaFields; ++field) {
-            const double scale = static_cast<double>(std::max(total[field], 1.0f));
+            const double scale = std::max(total[field], 1e-30f);
             const double by_points = std::sqrt(std::max(variance[field], 0.0)) / (settings_.radius * scale);
             deviations_[field] = static_cast<float>(joint[field] > 0 ? std::hypot(by_points, joint[field] / scale) : by_points);
         }
@@ -543,7 +540,7 @@ private:
     float half_x_ = 0, half_y_ = 0;
     std::int64_t columns_ = 0, rows_ = 0;
     std::vector<std::int64_t> starts_, number_;
-    std::vector<float> x_, y_, u_, v_;
+    std::vector<float> x_, y_, u_, v_, noise_;
     std::vector<Place> places_apart_;
     std::vector<Block> blocks_;
 };

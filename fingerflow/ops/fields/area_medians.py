@@ -68,9 +68,10 @@ def area_medians(
         gauge_length: diameter of the support of a fit, L.
         measure: of strain, as in `green_lagrange`.
         covariance: (B, N, 2, 2) of a point's displacement, L^2, with independent errors of the points. If given,
-            standard deviations are computed. To first order the error of a median is the mean error at the positions
-            whose field equals it to within the uncertainty of a fit, and so a sum over the points. It does not include
-            the error of the ellipse or the smoothing over the gauge length.
+            standard deviations are computed. The error of a median is the mean error at the positions whose field
+            equals it to within the uncertainty of a fit, by whose inverse they are weighted, as an uncertain field
+            is seldom near the median: to first order a sum over the points. It does not include the error of the
+            ellipse or the smoothing over the gauge length.
         entered: points whose displacement has another onset than that of the others, such as those advected into the
             contact. They are left out of the fits. A position whose nearest point is one of them, with a known
             gradient, has the fields of that point up to a distance of a quarter of a gauge length, and is unknown
@@ -174,29 +175,29 @@ def _medians(
     fields, filled = torch.where(clear, fields, beside), clear | within
     count = filled.to(fields.dtype).sum(2, keepdim=True)
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
-    median = _median(fields, filled, count)
-    median = torch.where(enough, median, math.nan)
+    median = torch.where(enough, _median(fields, filled, count), math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
         return median, None, known_share
 
     def closeness(variance: Tensor) -> Tensor:
-        """Return the weights (B, 5, Q) with which errors at Q positions enter those of the medians: (1 - z^2)^2, 1 at
-        the median, 0 from two standard deviations of a fit on, whose square is `variance` (B, 5, Q).
+        """Return the weights (B, 5, Q) with which errors at Q positions enter those of the medians: (1 - z^2)^2 / r, z
+        the distance from the median in units of the reach r, `REACH` standard deviations, whose square is `variance`
+        (B, 5, Q).
         """
-        return (1 - (fields - median[..., None]).square() / variance.clamp_min(_TINY)).clamp_min(0).square() * clear
+        square = (limits.REACH**2 * variance).clamp_min(_TINY)
+        return (1 - (fields - median[..., None]).square() / square).clamp_min(0).square() * square.rsqrt() * clear
 
-    joint = torch.zeros_like(median)
-    share = closeness(limits.REACH**2 * _even_variance(fit, gradient, usable, covariance, radius, measure))
+    covariance, joint = torch.where(usable, covariance, 0.0), torch.zeros_like(median)
+    share = closeness(_even_variance(fit, gradient, covariance, radius, measure))
     if nearest is not None and std is not None:
-        share = torch.where(nearest, closeness((limits.REACH * std).square()), share)
-    share = share / share.sum(2, keepdim=True).clamp_min(1)
+        share = torch.where(nearest, closeness(std.square()), share)
+    share = share / share.sum(2, keepdim=True).clamp_min(_TINY)
     if nearest is not None and std is not None:
         joint = (share * torch.where(nearest & clear, std, 0.0)).sum(2)
         share = torch.where(nearest, 0.0, share)
-    by_points = _mean_derivatives(fit, positions_scaled, gradient, share, measure) / radius  # (B, 5, 2, N)
-    x, y = by_points[:, :, 0], by_points[:, :, 1]
-    uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
+    x, y = (_mean_derivatives(fit, positions_scaled, gradient, share, measure) / radius).unbind(2)  # (B, 5, N)
+    uu, uv, vv = covariance.split(1, dim=1)
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
     return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share
 
@@ -243,15 +244,16 @@ def _fields(gradient: Tensor, measure: str) -> Tensor:
     return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
 
 
-def _even_variance(
-    fit: PlaneFit, gradient: Tensor, usable: Tensor, covariance: Tensor, radius: float, measure: str
-) -> Tensor:
-    """Return the variance (B, 5, Q) of five fields at Q positions by a fit among evenly spread points, each with the
-    mean covariance, for which sum w^2 d d' is 0.4 sum w d d'.
+def _even_variance(fit: PlaneFit, gradient: Tensor, covariance: Tensor, radius: float, measure: str) -> Tensor:
+    """Return the variance (B, 5, Q) of five fields at Q positions by fits among evenly spread points, for which sum w^2
+    d d' is 0.4 sum w d d'. The covariance of each point is taken as the mean, as much larger as the variances around
+    the position are.
+
+    `covariance` (B, 3, N) is 0 for points that are not usable.
     """
-    number = usable.to(gradient.dtype).sum(2, keepdim=True).clamp_min(1)
-    mean = symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
-    slopes = symmetric(limits.EVEN / radius**2 * fit.inverse / fit.mass)
+    mean, noise = symmetric(covariance.sum(2, keepdim=True)), covariance[:, ::2].sum(1, keepdim=True)
+    local = (fit.weights @ noise.mT).mT / noise.sum(2, keepdim=True).clamp_min(_TINY)
+    slopes = symmetric(limits.EVEN / radius**2 * local * fit.inverse / fit.mass**2)
     sensitivity = _sensitivity(gradient, measure)
     by_slopes = products(sensitivity, slopes[:, None])
     return (products(mean[:, None], by_slopes) * sensitivity).sum((2, 3))

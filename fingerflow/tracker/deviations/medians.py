@@ -57,10 +57,9 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
     - Where fields are known only in a share of the contact, the median of all of it lies between the quantiles
       1/2 +- (1 - share) / (2 share) of the known values: anywhere, so that the deviation is half of their difference
       over sqrt(3).
-    - Where E of the points were advected, the median lies between ranks that are sqrt(E) points from its own. The
+    - Where E of the points were advected, the median lies between ranks that are sqrt(E) / 2 points from its own. The
       fields of such a point change within half a gauge length by as much as those of the whole contact, so its area
-      falls on either side of the median at random. Neighbours share errors of their entry, so that four of them count
-      as about one. With independent points, sqrt(E) / 2, medians of slides live are up to 1.33 deviations off.
+      falls on either side of the median at random.
 
     It is 0 in frames where nothing is known and there are no medians. `entered` (n, N) marks the advected points.
     """
@@ -91,7 +90,7 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
 
     share = share[rows, None]
     result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
-    result[rows] += squared_half_range(np.sqrt(came[rows, None]))
+    result[rows] += squared_half_range(np.sqrt(came[rows, None]) / 2)
     return result
 
 
