@@ -77,7 +77,7 @@ def test_scale_transform_and_lens_come_from_frames_through_the_lens(lens: Lens, 
     assert abs(raw.mm_per_px * _RADIUS_PX / _RADIUS_MM - 1) > 2e-3
     if by_page:
         page, output = Session(Draft.create(open_recording(files["ring"])), None), tmp_path / "calibration.toml"
-        page.calibrate({"corners": [*_CORNERS]} | {name: file.name for name, file in files.items()})
+        page.calibrate(corners=[*_CORNERS], **{name: file.name for name, file in files.items()})
     stored, _ = read_calibration(output)
     assert stored["intrinsics"] == list(calibrated.lens.intrinsics)
     assert stored["distortion"] == list(calibrated.lens.distortion)
