@@ -28,12 +28,16 @@ class DictionaryEntry(NamedTuple):
     needs: tuple[str, ...]
     flags: tuple[str, ...]
 
+    @property
+    def unit_note(self) -> str:
+        """Return the text ", shown in UNIT" if figures use another unit than the data set, else ""."""
+        return "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
+
     def __str__(self) -> str:
         """Return a description of the variable in three or four lines of plain text."""
-        shown = "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
         note = "" if self.unasked else ", only where it is named"
         lines = [
-            f"{self.name}  [{self.units}{shown}]  ({', '.join(self.dimensions)})  stage {self.stage}{note}",
+            f"{self.name}  [{self.units}{self.unit_note}]  ({', '.join(self.dimensions)})  stage {self.stage}{note}",
             f"    {self.definition}",
             f"    {self.equation}",
         ]
