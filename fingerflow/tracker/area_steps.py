@@ -48,7 +48,9 @@ def check_missing_frames(gross: Series, normal: Series | None, first_frame: int)
 
 
 def check_light_steps(gross: Series, view_area: float, first_frame: int) -> Iterator[str]:
-    """Yield a warning if the gross area jumps by more than a contact does, from the area of the view, mm^2."""
+    """Yield a warning if the gross area changes between two frames by a larger part of the view's area, mm^2, than that
+    of any contact does.
+    """
     measured = np.flatnonzero(np.isfinite(gross))
     far = np.abs(np.diff(gross[measured])) > _JUMP * view_area
     jumps = np.flatnonzero(far & (np.diff(measured) <= LONGEST + 1))

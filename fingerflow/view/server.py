@@ -125,7 +125,8 @@ def application(session: Session) -> Starlette:
         """Return a route that calls `act` with the fields of a request, checked by the types of its arguments: those of
         the JSON body of a POST, or of the query of a GET.
         """
-        checked: TypeAdapter[Any] = TypeAdapter(act)  # type: ignore[arg-type]  # calls the function
+        # Made of a function, it checks the arguments and calls the function; its stub declares types alone.
+        checked: TypeAdapter[Any] = TypeAdapter(act)  # type: ignore[arg-type]
 
         def answer(sent: bytes) -> Any:
             with session.lock if path.removeprefix("/api/") not in at_once else nullcontext():

@@ -182,7 +182,7 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
 
 @pytest.mark.parametrize("name", ["track_few", "windows"])
 def test_a_few_points_keep_their_order(name: str) -> None:
-    """Graphs of `ROWS` points and those of any number give the outputs of all points, without those of the padding."""
+    """Graphs with a fixed and with a free number of points return the outputs of all points and none of the padding."""
 
     class Session:
         any_number = True

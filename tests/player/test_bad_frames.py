@@ -173,7 +173,7 @@ def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys:
 
 
 def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixture) -> None:
-    """Frames that are missing in the file, and light that falls by half and stays, as a recording says them."""
+    """A stream warns of missing frames, and of light that falls to half and stays there, as a recording does."""
     dim = small.frames.copy()
     dim[60:, :, small_trials.WIDTH :] //= 2
     for frames, words in (

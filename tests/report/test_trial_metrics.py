@@ -99,7 +99,7 @@ def test_a_correlation_has_its_line(axes: Axes) -> None:
 
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_few_trials_have_no_line(count: int, axes: Axes) -> None:
-    """A few dots of one participant lie on a line by chance: no slope and no R² is stated."""
+    """No slope and no R² is stated for few trials of one participant, which may lie on a line by chance."""
     few = read_trials({name: np.array(values[:count]) for name, values in FOUR.items()})
     metrics.draw_correlation(axes, few, "curl", "strain")
     assert axes.get_title().startswith("no line: ")

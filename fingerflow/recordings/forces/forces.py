@@ -152,7 +152,8 @@ class Forces:
                 covered &= ~in_gap
             at_frames = low_pass(times, values, targets[covered], nyquist=frame_rate / 2)
         else:
-            rates = f"forces at {sample_rate or 0:g} Hz, frames at {frame_rate or 0:g} Hz"
+            stated = sample_rate and frame_rate
+            rates = f"forces at {sample_rate:g} Hz, frames at {frame_rate:g} Hz" if stated else "one time"
             self._warn(f"forces are sampled no faster than the frames ({rates}): interpolated linearly, not filtered")
             at_frames = np.stack([np.interp(targets[covered], times, row) for row in values])
         result = np.full((len(values), targets.size), np.nan)

@@ -81,7 +81,8 @@ def _time_stamps(path: Path, frames: h5py.Dataset, rate: float | None) -> tuple[
     """
     for name in frames.parent:
         *words, last = name.lower().split("_")
-        words += [] if last in TO_SECONDS else [last]
+        if last not in TO_SECONDS:
+            words.append(last)
         item = frames.parent.get(name) if "".join(words).removeprefix("frame") in _TIMES else None
         if not isinstance(item, h5py.Dataset) or not 1 < item.size == len(frames) or item.dtype.kind not in "iuf":
             continue

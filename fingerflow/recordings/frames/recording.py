@@ -237,6 +237,7 @@ class Recording:
                 raise TypeError(f"frames are chosen by whole numbers, not by {key.dtype}; try np.flatnonzero(mask)")
             positions = [self._within(operator.index(number)) for number in key]
             return self._select(positions, [self._indices[position] for position in positions])
+        # The checker does not know that anything else than a whole number ends in a TypeError here.
         return self.file.read(self._indices[self._within(operator.index(key))])  # type: ignore[arg-type]
 
     def _select(self, positions: slice | list[int], indices: Sequence[int]) -> Recording:

@@ -170,9 +170,8 @@ def _describe(
         )
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
-    warnings += ["the times of frames in the file (DeltaT) are not used: check recording.frame_rate"] * (
-        "DeltaT=" in ome
-    )
+    if "DeltaT=" in ome:
+        warnings.append("the times of frames in the file (DeltaT) are not used: check recording.frame_rate")
     if complaints and whole == count:
         warnings.append(f"truncated or damaged: frames after the last of {whole} may be missing ({complaints[0]})")
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
@@ -216,6 +215,7 @@ def _damage(page: Any, size: int, frame_bytes: int) -> str:
 
 def _rate(imagej: dict[str, Any], ome: str) -> float | None:
     stated: dict[str, Any] = dict(re.findall(r'(TimeIncrement\w*)="([^"]*)"', ome)) | imagej
+    # Without the end of "sec" and "msec".
     unit = str(stated.get("tunit", stated.get("TimeIncrementUnit", "s"))).replace("\\u00B5", "u").removesuffix("ec")
     with suppress(TypeError, ValueError):
         interval = TO_SECONDS.get(unit, 0) * float(stated.get("finterval", stated.get("TimeIncrement", 0)))

@@ -52,7 +52,7 @@ def test_selection_equals_the_greedy_rule(distance: float) -> None:
 
 
 class Operations(TorchDispatchMode):
-    """Counter of the operations of torch: a loop over candidates has as many as corners."""
+    """Counter of torch operations. A loop over the candidates would call at least one for each corner."""
 
     count = 0
 
