@@ -95,7 +95,7 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
 
 
 def _scene_text(scene: SyntheticScene) -> str:
-    matrix = [list(row) for row in scene.topography_to_contact]
+    matrix = np.asarray(scene.topography_to_contact, np.float64).tolist()  # numbers of NumPy have another `repr`
     return scene_text(
         frames="frames.npy",
         frame_rate=scene.frame_rate,

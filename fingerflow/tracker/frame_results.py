@@ -77,9 +77,9 @@ class FrameResults:
         self._entered = np.zeros((0, 0), dtype=bool)  # which points have entered, in each of them
         self._touches = Touches(0)
 
-    def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints) -> dict[str, Array]:
+    def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints, pull: Array) -> dict[str, Array]:
         """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
-        their tracked points `points` and the seeding to which these points belong.
+        their tracked points `points`, `pull` (n, N) of these (`Points.pull`), and the seeding to which they belong.
 
         They do not depend on how many frames are computed at once, but for rounding of float32.
         """
@@ -89,17 +89,18 @@ class FrameResults:
         parts, first = list[dict[str, Array]](), 0
         while first < len(covered):
             frames = slice(first, first + self._batch(covered[first:]))
-            parts.append(self._at_once(select_frames(contact, frames), select_frames(points, frames), covered[frames]))
+            here = select_frames(contact, frames), select_frames(points, frames)
+            parts.append(self._at_once(*here, covered[frames], pull[frames]))
             first = frames.stop
         if len(parts) == 1:
             return parts[0]
         return {name: np.concatenate([part[name] for part in parts]) for name in RESULTS}
 
-    def _at_once(self, contact: FrameContact, points: TrackedPoints, covered: Array) -> dict[str, Array]:
+    def _at_once(self, contact: FrameContact, points: TrackedPoints, covered: Array, pull: Array) -> dict[str, Array]:
         """Compute the results of n frames in one call; `covered` (n, N) is True for points inside the contact."""
         numbers = self._frames + 1 + np.arange(len(covered))
         variance = points.variance  # by image noise
-        curvature, sizes = self._curvature.update(points.points), self.on_glass.sizes(contact)
+        curvature, sizes = self._curvature.update(points.points) + pull, self.on_glass.sizes(contact)
         noise_px, self._sizes = np.sqrt(variance), sizes
         residual, slipping = np.empty(len(covered)), np.empty(len(covered), dtype=bool)
         for k in range(len(covered)):

@@ -122,6 +122,7 @@ class FrameOutcome:
         threshold: relative intensity loss above which a pixel touches; NaN while unknown, and if the frame does not
             count.
         points: tracked in it; None if the frame does not count.
+        pull: (1, N) px^2, of the points (`Points.pull`).
         measured: threshold measured in it, NaN for none; None if none was to be measured.
         contact: set once it is computed (`StreamTracker.compute_results`); guarded by the lock `computing`.
         status: index into `FRAME_STATUS`.
@@ -136,6 +137,7 @@ class FrameOutcome:
     images: dict[str, Images]
     threshold: float
     points: TrackedPoints | None = None
+    pull: Array | None = None
     measured: float | None = None
     contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
@@ -321,7 +323,8 @@ class StreamTracker:
         # The results do not use the mask, the largest part of a contact.
         contact = join([each._replace(real_contact_mask=None) for each in contacts])
         try:
-            results = self._results.compute(seeding, contact, join(tracked))
+            pull = np.concatenate([outcome.pull for outcome in outcomes if outcome.pull is not None])
+            results = self._results.compute(seeding, contact, join(tracked), pull)
         except Exception:  # some frames may have been counted: what is measured from the onset is unknown from here on
             begun = seeding._replace(before=None)
             for outcome in outcomes:
@@ -472,6 +475,7 @@ class StreamTracker:
         work.threshold = work.threshold if status == USABLE else math.nan
         work.status, work.points, work.tracked, work.seeding = status, points, tracked, self._seeding
         work.key_frame, work.restart = self._reseeding.key_frame, self.restarts
+        work.pull = None if self._points is None else self._points.pull
         self._unlearnt.append((self._index, work.frame.number, work))
         return work
 

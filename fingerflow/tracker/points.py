@@ -86,6 +86,7 @@ class Points:
     Attributes:
         motion: position and speed of the points.
         start: (N, 2) px, reference positions in the key frame.
+        pull: (n, N) px^2, variance of the positions of the last `follow` by things on the glass; at first 0.
     """
 
     def __init__(
@@ -110,6 +111,7 @@ class Points:
         self._every = np.concatenate((points, around)).astype(np.float32)
         self.motion = motion or PointMotion.at_rest(points)
         self._verification, self._curvature = Verification(engine, image, points), Curvature(engine, self._every)
+        self.pull = np.zeros((1, len(points)), np.float32)
         unchanged = identities(len(points))
         # Deformation gradient at the last check, and the inverse of that in the templates.
         self._warp, self._inverse_warp = unchanged, unchanged.copy()
@@ -166,7 +168,7 @@ class Points:
         `around` (n, A) is the result of the surrounding points. Estimates are the last known positions.
         """
         steps: list[TrackedPoints] = []
-        done, self._steps = 0, []
+        done, self._steps, self.pull = 0, [], self.pull[:0]
         while done < len(images):
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
             count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
@@ -187,10 +189,13 @@ class Points:
 
     def curvature_variance(self, tracked: TrackedPoints, around: TrackedPoints | None = None) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of the positions `tracked` (n, N) in the next n frames by displacement since
-        the key frame that is curved within windows; `around` (n, A) is the result of the surrounding points.
+        the key frame that is curved within windows, and by `pull`; `around` (n, A) is the result of the surrounding
+        points.
         """
         positions = tracked.points if around is None else np.concatenate((tracked.points, around.points), axis=1)
-        return self._curvature.update(positions)[:, : len(self)]
+        variance = self._curvature.update(positions)[:, : len(self)]
+        variance[len(variance) - len(self.pull) :] += self.pull
+        return variance
 
     def _update_templates(self) -> None:
         """Carry out the template updates that are due, in the order in which they were planned."""
@@ -391,9 +396,7 @@ class Points:
         if not self._by_key:
             variance = self._since_start(points.variance)
             points = points._replace(covariance=variance[..., None, None] * np.eye(2, dtype=np.float32))
-        if np.logical_or.reduce(verified.variance):
-            more = verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
-            points = points._replace(covariance=points.covariance + more)
+        self.pull = np.concatenate((self.pull, np.broadcast_to(verified.variance, points.status.shape)))
         if not np.logical_or.reduce(verified.differs | verified.held, axis=None):
             return points
         tracked = points.status == TRACKED

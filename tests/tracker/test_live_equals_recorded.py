@@ -160,7 +160,7 @@ def test_results_do_not_depend_on_the_number_of_frames_at_once(
     played: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """Frames that wait are measured at once; their results are those of single frames, to rounding of float32."""
-    seen: list[tuple[FrameResults, Seeding, FrameContact, TrackedPoints]] = []
+    seen: list[tuple[FrameResults, Seeding, FrameContact, TrackedPoints, Array]] = []
     compute = FrameResults.compute
 
     def keep(results: FrameResults, *frame: Any) -> dict[str, Array]:
@@ -179,7 +179,9 @@ def test_results_do_not_depend_on_the_number_of_frames_at_once(
     def computed(at_once: int) -> dict[str, Array]:
         again = FrameResults(results._engine, results._geometry)
         parts = [zip(*frames[first : first + at_once], strict=True) for first in range(0, len(frames), at_once)]
-        values = [again.compute(seeding, join(contact), join(points)) for contact, points in parts]
+        values = [
+            again.compute(seeding, join(contact), join(points), np.concatenate(pull)) for contact, points, pull in parts
+        ]
         return {name: np.concatenate([part[name] for part in values]) for name in RESULTS}
 
     single = computed(1)

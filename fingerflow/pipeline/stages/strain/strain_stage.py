@@ -32,9 +32,9 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 _INSIDE = 0.3
 # Windows, gauge length over which displacements are smoothed again, to see what a window has taken from the energy.
 _SMOOTHED = 2.5
-# Energy that windows have taken, over what they would have by the share that smoothing again takes: RMS over four
-# slides of other seeds and ways than those of the table in `docs/accuracy.md`.
-_TAKEN = 0.7
+# Energy that windows have taken, over what they would have by the share that smoothing again takes: RMS over the frames
+# of four slides and two partial slips of other seeds and ways than those of the tables.
+_TAKEN = 0.33
 
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
@@ -159,7 +159,7 @@ class StrainStage(Stage):
         """
         displacement = self.inputs.tensor(moved)
         smooth = local_gradients(self._from_start, displacement, gauge_length=_SMOOTHED * self._window_mm).value
-        again = torch.where(smooth.isfinite(), smooth, displacement)
+        again = torch.where(smooth.isfinite() & displacement.isfinite(), smooth, displacement)
         left = self._triangle_strain(again, np.zeros((*moved.shape, 2), np.float32), touching).energy
         lost = (energy - left).clamp_min(0) * energy / torch.maximum(left, energy / 3 + 1e-30)
         return lost.cpu().numpy()
