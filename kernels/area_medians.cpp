@@ -21,12 +21,6 @@ constexpr int kAreaBlock = 16;   // positions
 constexpr int kAreaFields = 5;   // divergence, curl, exx, eyy, exy
 constexpr int kAreaShares = 16;  // floats a point: (field, component of its displacement), then zeros
 
-// `radius` and displacements are in the unit given; other lengths are in radii, from the centre of the ellipse.
-struct AreaSettings {
-    std::int64_t measure;
-    float minimum_points, radius, least_spread, farthest, least_ratio;
-};
-
 // The points that may lie within a radius of a position of the block; `number` is the index in the frame's sorted
 // points.
 struct AreaPoints {
@@ -37,19 +31,12 @@ struct AreaPoints {
 
 struct AreaFits {
     float x[kAreaBlock], y[kAreaBlock];
-    float known[kAreaBlock];                              // 0 or 1
+    float known[kAreaBlock];                              // 1 with fields, -1 with those of positions around it, else 0
     float center_x[kAreaBlock], center_y[kAreaBlock];     // weighted centroid of the points
     float inverse[3][kAreaBlock], share[kAreaBlock];      // inverse second moments xx, xy, yy; 1 / sum of weights
     float noise[kAreaBlock];                              // weighted mean of the points'
     float gradient[4][kAreaBlock];                        // displacement gradient H by reference coordinates: ux, uy, vx, vy
     float fields[kAreaFields][kAreaBlock];
-};
-
-// Which positions count towards a median's error: those whose field lies near the median.
-struct AreaBeside {
-    float median[kAreaFields];
-    float own[4];        // mean covariance of a point
-    float reach, even;   // constants of fingerflow/ops/fields/area_medians.py
 };
 
 namespace FINGERFLOW_ISA {
@@ -94,29 +81,19 @@ void sensitivity(std::int64_t measure, const float (&gradient)[4][kAreaBlock],
     }
 }
 
-// Weight of each point at a position times its offset from the centroid, (count) each.
-void moments(const AreaPoints& points, float x, float y, float center_x, float center_y,
-             float* FINGERFLOW_RESTRICT along_x, float* FINGERFLOW_RESTRICT along_y) {
-    const float *const point_x = points.x, *const point_y = points.y;
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t k = 0; k < points.count; ++k) {
-        const float dx = point_x[k] - x, dy = point_y[k] - y, left = 1 - (dx * dx + dy * dy);
-        const float closeness = left > 0 ? left : 0.0f, w = closeness * closeness;
-        along_x[k] = w * (point_x[k] - center_x);
-        along_y[k] = w * (point_y[k] - center_y);
-    }
-}
-
 }  // namespace
 
-void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& fits) {
+// Lengths are in radii from the centre of the ellipse, displacements in the unit of `given`.
+void fit_area(const fingerflow_area_medians& given, const AreaPoints& points, AreaFits& fits) {
     float sums[kSums][kAreaBlock];
     sum(points, fits, sums);
-    const float per_length = 1 / settings.radius, narrow = settings.least_spread * settings.least_spread;
-    const float farthest = settings.farthest * settings.farthest;
+    const auto per_length = static_cast<float>(1 / given.radius), fewest = static_cast<float>(given.minimum_points);
+    const auto narrow = static_cast<float>(given.least_spread * given.least_spread);
+    const auto farthest = static_cast<float>(given.farthest * given.farthest), folded = static_cast<float>(given.least_ratio);
+    const float squared = given.measure == 2 ? 0.0f : 0.5f, mixed = given.measure == 0 ? 0.5f : 0.0f;
     FINGERFLOW_INDEPENDENT
     for (int q = 0; q < kAreaBlock; ++q) {
-        const bool enough = sums[0][q] >= settings.minimum_points;
+        const bool enough = sums[0][q] >= fewest;
         const float share = 1 / (enough ? sums[1][q] : 1.0f), x = sums[2][q] * share, y = sums[3][q] * share;
         const float xx = sums[4][q] * share - x * x, xy = sums[5][q] * share - x * y, yy = sums[6][q] * share - y * y;
         const float u = sums[7][q] * share, v = sums[8][q] * share;
@@ -130,10 +107,9 @@ void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& 
         const float gyx = (vx * a + vy * b) * per_length, gyy = (vx * b + vy * d) * per_length;
         // G (I - G)^-1 = (I - G)^-1 - I, without cancellation where G is small.
         const float ratio = (1 - gxx) * (1 - gyy) - gxy * gyx, lost = gxx * gyy - gxy * gyx;
-        const bool known = wide && ratio > settings.least_ratio;
+        const bool known = wide && ratio > folded;
         const float grown = 1 / (known ? ratio : 1.0f);
         const float hxx = (gxx - lost) * grown, hxy = gxy * grown, hyx = gyx * grown, hyy = (gyy - lost) * grown;
-        const float squared = settings.measure == 2 ? 0.0f : 0.5f, mixed = settings.measure == 0 ? 0.5f : 0.0f;
         fits.known[q] = known ? 1.0f : 0.0f;
         fits.center_x[q] = x + fits.x[q];
         fits.center_y[q] = y + fits.y[q];
@@ -150,13 +126,13 @@ void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& 
 }
 
 // Adds to `shares` (points of the frame, kAreaShares) the sensitivity of the weighted sum of the fields near their
-// medians to each point's displacement, and to `total` the sum of the weights. `memory` has space for
-// 2 kAreaBlock count floats.
-void add_shares(const AreaSettings& settings, const AreaPoints& points, const AreaFits& fits, const AreaBeside& beside,
-                float* memory, float* shares, float (&total)[kAreaFields]) {
+// `medians` to each point's displacement, and to `total` the sum of the weights. `own` (2, 2) is the mean covariance of a
+// point; `memory` has space for 2 kAreaBlock count floats.
+void add_shares(const fingerflow_area_medians& given, const AreaPoints& points, const AreaFits& fits, const float* medians,
+                const float* own, float* memory, float* shares, float (&total)[kAreaFields]) {
     float by_gradient[kAreaFields][2][2][kAreaBlock] = {}, share[kAreaFields][kAreaBlock], any[kAreaBlock] = {};
-    sensitivity(settings.measure, fits.gradient, by_gradient);
-    const float even = beside.even * beside.reach * beside.reach / (settings.radius * settings.radius);
+    sensitivity(given.measure, fits.gradient, by_gradient);
+    const auto even = static_cast<float>(given.even * given.reach * given.reach / (given.radius * given.radius));
     for (int field = 0; field < kAreaFields; ++field) {
         FINGERFLOW_INDEPENDENT
         for (int q = 0; q < kAreaBlock; ++q) {
@@ -165,13 +141,13 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
                 for (int e = 0; e < 2; ++e) {
                     const float cx = by_gradient[field][c][0][q], cy = by_gradient[field][c][1][q];
                     const float ex = by_gradient[field][e][0][q], ey = by_gradient[field][e][1][q];
-                    variance += beside.own[2 * c + e] * (cx * ex * fits.inverse[0][q] + (cx * ey + cy * ex) * fits.inverse[1][q] +
+                    variance += own[2 * c + e] * (cx * ex * fits.inverse[0][q] + (cx * ey + cy * ex) * fits.inverse[1][q] +
                                                         cy * ey * fits.inverse[2][q]);
                 }
             variance *= even * fits.share[q] * fits.noise[q];
-            const float away = fits.fields[field][q] - beside.median[field], wide = variance > 1e-30f ? variance : 1e-30f;
+            const float away = fits.fields[field][q] - medians[field], wide = variance > 1e-30f ? variance : 1e-30f;
             const float left = 1 - away * away / wide;
-            share[field][q] = left > 0 ? left * left * fits.known[q] / sqrtf(wide) : 0.0f;
+            share[field][q] = left > 0 && fits.known[q] > 0 ? left * left / sqrtf(wide) : 0.0f;
         }
         for (int q = 0; q < kAreaBlock; ++q) {
             total[field] += share[field][q];
@@ -195,9 +171,15 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
                 along_y[positions][2 * field + c] = scale * (x * b + y * d);
             }
         }
-        float* const weighted = memory + 2 * positions * points.count;
-        moments(points, fits.x[q], fits.y[q], fits.center_x[q], fits.center_y[q], weighted, weighted + points.count);
-        ++positions;
+        // Weight of each point times its offset from the centroid.
+        float* const weighted = memory + 2 * positions++ * points.count;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t k = 0; k < points.count; ++k) {
+            const float dx = points.x[k] - fits.x[q], dy = points.y[k] - fits.y[q], left = 1 - (dx * dx + dy * dy);
+            const float closeness = left > 0 ? left : 0.0f, w = closeness * closeness;
+            weighted[k] = w * (points.x[k] - fits.center_x[q]);
+            weighted[points.count + k] = w * (points.y[k] - fits.center_y[q]);
+        }
     }
     // Two points at a time, so that additions of one sum do not wait for each other.
     for (std::int64_t k = 0; k < points.count; k += 2) {
@@ -240,12 +222,6 @@ namespace {
 
 constexpr std::int64_t kNumbers = 6;  // copied for each point of a block: x, y, u, v, noise and its index
 
-// max(|distance| - half, 0) without a branch.
-float beyond(float distance, float half) {
-    const float outside = std::fabs(distance) - half;
-    return (outside + std::fabs(outside)) / 2;
-}
-
 // The median of at least one number; reorders them.
 float median(std::vector<float>& numbers) {
     const auto middle = numbers.begin() + static_cast<std::ptrdiff_t>(numbers.size() / 2);
@@ -267,12 +243,8 @@ public:
           medians_(given.medians + kAreaFields * number),
           deviations_(part(given.deviations, kAreaFields * number)),
           share_(given.shares + number),
-          settings_{given.measure,
-                    static_cast<float>(given.minimum_points),
-                    static_cast<float>(given.radius),
-                    static_cast<float>(given.least_spread),
-                    static_cast<float>(given.farthest),
-                    static_cast<float>(given.least_ratio)} {}
+          radius_(static_cast<float>(given.radius)),
+          far_(static_cast<float>(given.same_place * given.same_place)) {}
 
     void run() {
         *share_ = std::numeric_limits<float>::quiet_NaN();
@@ -283,12 +255,11 @@ public:
         sort_points();
         fit();
         std::vector<float> values;
-        values.reserve(size(given_.positions));
         for (int field = 0; field < kAreaFields; ++field) {
             values.clear();
             for (const Block& block : blocks_)
                 for (int q = 0; q < block.positions; ++q)
-                    if (block.fits.known[q] > 0 || block.filled[q]) values.push_back(block.fits.fields[field][q]);
+                    if (block.fits.known[q] != 0) values.push_back(block.fits.fields[field][q]);
             const double share = static_cast<double>(values.size()) / static_cast<double>(given_.positions);
             *share_ = static_cast<float>(share);
             if (values.empty() || share < given_.least_share) return;
@@ -306,27 +277,20 @@ private:
         int positions;
         AreaPoints points;
         std::int64_t apart[kAreaBlock];  // index of the point with fields of its own that a position takes, or -1
-        bool filled[kAreaBlock];         // whether a position has the fields of its nearest position with a fit
-    };
-    struct Place {
-        float x, y;
-        std::int64_t number;
     };
 
     // Sorts the usable points around the ellipse into cells of half a radius, with the mean displacement subtracted,
     // and lists the points with fields of their own that are known.
     void sort_points() {
-        const std::int64_t count = given_.point_count;
         std::vector<std::int64_t> usable;
-        usable.reserve(size(count));
-        double mean_u = 0, mean_v = 0, sums[4] = {};
-        for (std::int64_t k = 0; k < count; ++k) {
+        double sums[6] = {};  // covariance and displacement
+        for (std::int64_t k = 0; k < given_.point_count; ++k) {
             const float u = displacement_[2 * k], v = displacement_[2 * k + 1];
             bool good = std::isfinite(reference_[2 * k] + u) && std::isfinite(reference_[2 * k + 1] + v);
             if (apart_ != nullptr && apart_[k]) {
                 const float* const own = apart_fields_ + kAreaFields * k;
                 if (good && std::all_of(own, own + kAreaFields, [](float field) { return std::isfinite(field); }))
-                    places_apart_.push_back({place(k, 0), place(k, 1), k});
+                    places_apart_.push_back(k);
                 continue;
             }
             if (covariance_ != nullptr) {
@@ -336,165 +300,171 @@ private:
             }
             if (!good) continue;
             usable.push_back(k);
-            mean_u += u;
-            mean_v += v;
+            sums[4] += u;
+            sums[5] += v;
         }
         const double among = static_cast<double>(std::max<std::size_t>(usable.size(), 1));
-        const auto level_u = static_cast<float>(mean_u / among), level_v = static_cast<float>(mean_v / among);
-        for (int c = 0; c < 4; ++c) beside_.own[c] = static_cast<float>(sums[c] / among);
-        const float mean = std::max(beside_.own[0] + beside_.own[3], 1e-30f);
-        const float radius = settings_.radius, cosine = ellipse_[4], sine = ellipse_[5];
-        half_x_ = std::hypot(ellipse_[2] * cosine, ellipse_[3] * sine) / radius + 1.01f;
-        half_y_ = std::hypot(ellipse_[2] * sine, ellipse_[3] * cosine) / radius + 1.01f;
-        columns_ = cells(half_x_);
-        rows_ = cells(half_y_);
+        const auto level_u = static_cast<float>(sums[4] / among), level_v = static_cast<float>(sums[5] / among);
+        for (int c = 0; c < 4; ++c) own_[c] = static_cast<float>(sums[c] / among);
+        const float mean = std::max(own_[0] + own_[3], 1e-30f);
+        const float cosine = ellipse_[4], sine = ellipse_[5];
+        half_[0] = std::hypot(ellipse_[2] * cosine, ellipse_[3] * sine) / radius_ + 1.01f;
+        half_[1] = std::hypot(ellipse_[2] * sine, ellipse_[3] * cosine) / radius_ + 1.01f;
+        for (int axis : {0, 1}) cells_[axis] = std::clamp<std::int64_t>(static_cast<std::int64_t>(4 * half_[axis]), 1, 256);
         std::vector<std::int64_t> cell(usable.size());
-        starts_.assign(size(rows_ * columns_ + 1), 0);
+        starts_.assign(size(cells_[0] * cells_[1] + 1), 0);
         for (std::size_t n = 0; n < usable.size(); ++n) {
             const float x = place(usable[n], 0), y = place(usable[n], 1);
-            const bool near = std::fabs(x) < half_x_ && std::fabs(y) < half_y_;
-            cell[n] = near ? row_of(y) * columns_ + column_of(x) : -1;
+            const bool near = std::fabs(x) < half_[0] && std::fabs(y) < half_[1];
+            cell[n] = near ? cell_of(y, 1) * cells_[0] + cell_of(x, 0) : -1;
             if (near) ++starts_[size(cell[n] + 1)];
         }
         for (std::size_t k = 1; k < starts_.size(); ++k) starts_[k] += starts_[k - 1];
         const std::size_t near = size(starts_.back());
-        for (std::vector<float>* one : {&x_, &y_, &u_, &v_, &noise_}) one->resize(near);
+        for (auto& one : of_points_) one.resize(near);
         number_.resize(near);
-        std::vector<std::int64_t> next(starts_.begin(), starts_.end() - 1);
+        std::vector<std::int64_t> next = starts_;
         for (std::size_t n = 0; n < usable.size(); ++n) {
             if (cell[n] < 0) continue;
             const std::size_t to = size(next[size(cell[n])]++);
             const std::int64_t k = usable[n];
-            x_[to] = place(k, 0);
-            y_[to] = place(k, 1);
-            u_[to] = displacement_[2 * k] - level_u;
-            v_[to] = displacement_[2 * k + 1] - level_v;
-            noise_[to] = covariance_ == nullptr ? 0 : (covariance_[4 * k] + covariance_[4 * k + 3]) / mean;
+            const float noise = covariance_ == nullptr ? 0 : (covariance_[4 * k] + covariance_[4 * k + 3]) / mean;
+            const float u = displacement_[2 * k] - level_u, v = displacement_[2 * k + 1] - level_v;
+            const float values[] = {place(k, 0), place(k, 1), u, v, noise};
+            for (int c = 0; c < 5; ++c) of_points_[c][to] = values[c];
             number_[to] = k;
         }
     }
 
     // Current coordinate of a point along an axis, in radii from the ellipse's centre.
     float place(std::int64_t k, int axis) const {
-        return (reference_[2 * k + axis] + displacement_[2 * k + axis] - ellipse_[axis]) / settings_.radius;
+        return (reference_[2 * k + axis] + displacement_[2 * k + axis] - ellipse_[axis]) / radius_;
     }
-    static std::int64_t cells(float half) { return std::clamp<std::int64_t>(static_cast<std::int64_t>(4 * half), 1, 256); }
-    std::int64_t column_of(float x) const { return of(x, half_x_, columns_); }
-    std::int64_t row_of(float y) const { return of(y, half_y_, rows_); }
-    static std::int64_t of(float place, float half, std::int64_t count) {
-        const float cell = (place + half) / (2 * half) * static_cast<float>(count);
-        return std::clamp<std::int64_t>(static_cast<std::int64_t>(cell), 0, count - 1);
+    // Index along an axis of the cell of a place.
+    std::int64_t cell_of(float place, int axis) const {
+        const float cell = (place + half_[axis]) / (2 * half_[axis]) * static_cast<float>(cells_[axis]);
+        return std::clamp<std::int64_t>(static_cast<std::int64_t>(cell), 0, cells_[axis] - 1);
     }
 
     void fit() {
-        const float along = ellipse_[2] / settings_.radius, across = ellipse_[3] / settings_.radius;
+        const float along = ellipse_[2] / radius_, across = ellipse_[3] / radius_;
         const float cosine = ellipse_[4], sine = ellipse_[5];
         blocks_.resize(size((given_.positions + kAreaBlock - 1) / kAreaBlock));
         // Each block reserves space for all points; pages that stay unused are never touched.
-        const auto room = static_cast<std::int64_t>(number_.size());
-        auto* const memory = static_cast<float*>(workspace(blocks_.size() * kNumbers * number_.size() * sizeof(float)));
+        auto* memory = static_cast<float*>(workspace(blocks_.size() * kNumbers * number_.size() * sizeof(float)));
         std::int64_t first = 0;
         for (Block& block : blocks_) {
             block.positions = static_cast<int>(std::min<std::int64_t>(kAreaBlock, given_.positions - first));
-            float low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
             for (int q = 0; q < kAreaBlock; ++q) {
                 const float* const place = given_.lattice + 2 * (first + std::min(q, block.positions - 1));
                 const float a = place[0] * along, b = place[1] * across;
-                const float x = block.fits.x[q] = a * cosine - b * sine, y = block.fits.y[q] = a * sine + b * cosine;
-                low_x = std::min(low_x, x);
-                low_y = std::min(low_y, y);
-                high_x = std::max(high_x, x);
-                high_y = std::max(high_y, y);
+                block.fits.x[q] = a * cosine - b * sine;
+                block.fits.y[q] = a * sine + b * cosine;
             }
-            block.points = near(low_x, low_y, high_x, high_y, memory + (&block - blocks_.data()) * kNumbers * room);
-            FINGERFLOW_PICK(fit_area)(settings_, block.points, block.fits);
+            block.points = near(block.fits, memory);
+            FINGERFLOW_PICK(fit_area)(given_, block.points, block.fits);
             std::fill_n(block.apart, kAreaBlock, -1);
             if (!places_apart_.empty()) take_apart(block);
             for (int q = block.positions; q < kAreaBlock; ++q) block.fits.known[q] = 0;
             first += kAreaBlock;
+            memory += kNumbers * number_.size();
         }
         fill();
     }
 
-    // Gives a position without a fit the fields of the nearest position with one. Points end before the border of the
-    // contact, and medians without its rim would be those of the inner part.
+    // Gives a position without a fit the fields of the nearest position with one, but of divergence and the trace of the
+    // strain the values there of planes fitted to those known within a gauge length, unless the nearest has the fields of
+    // a point of its own. Points end before the border of the contact, and medians without its rim would be those of the
+    // inner part.
     void fill() {
-        const auto far = static_cast<float>(given_.same_place * given_.same_place);
         for (Block& block : blocks_)
             for (int q = 0; q < block.positions; ++q) {
-                float nearest = block.fits.known[q] > 0 ? 0.0f : far;
+                float nearest = far_;
+                auto& to = block.fits.fields;
+                bool follows = false;
+                double sums[3][5] = {};  // of products of 1, x and y with these, divergence and trace
                 for (const Block& other : blocks_)
-                    for (int p = 0; nearest > 0 && p < other.positions; ++p) {
-                        const float dx = other.fits.x[p] - block.fits.x[q], dy = other.fits.y[p] - block.fits.y[q];
-                        if (!(other.fits.known[p] > 0 && dx * dx + dy * dy < nearest)) continue;
-                        nearest = dx * dx + dy * dy;
-                        for (int field = 0; field < kAreaFields; ++field) block.fits.fields[field][q] = other.fits.fields[field][p];
+                    for (int p = 0; p < other.positions && !(block.fits.known[q] > 0); ++p) {
+                        const auto& from = other.fits.fields;
+                        const float x = other.fits.x[p] - block.fits.x[q], y = other.fits.y[p] - block.fits.y[q];
+                        const float square = x * x + y * y, left = 1 - square / 4;
+                        if (!(other.fits.known[p] > 0 && left > 0)) continue;
+                        const float basis[5] = {1, x, y, from[0][p], from[2][p] + from[3][p]};
+                        for (int row = 0; row < 3; ++row)
+                            for (int k = 0; k < 5; ++k) sums[row][k] += left * left * basis[row] * basis[k];
+                        if (!(square < nearest)) continue;
+                        nearest = square;
+                        block.fits.known[q] = -1;
+                        follows = other.apart[p] < 0;
+                        for (int field = 0; field < kAreaFields; ++field) to[field][q] = from[field][p];
                     }
-                block.filled[q] = nearest > 0 && nearest < far;
+                const double mass = sums[0][0], least = 4 * given_.least_spread * given_.least_spread * mass;
+                for (int row : {1, 2})  // about the centroid
+                    for (int c = 4; c >= 0; --c) sums[row][c] -= sums[row][0] / mass * sums[0][c];
+                const double xx = sums[1][1], xy = sums[1][2], yy = sums[2][2];
+                if (!follows || !(xx > least && (xx - least) * (yy - least) > xy * xy)) continue;
+                const auto value = [&](int c) {
+                    const double x = yy * sums[1][c] - xy * sums[2][c], y = xx * sums[2][c] - xy * sums[1][c];
+                    return static_cast<float>((sums[0][c] - (sums[0][1] * x + sums[0][2] * y) / (xx * yy - xy * xy)) / mass);
+                };
+                const float added = (value(4) - to[2][q] - to[3][q]) / 2;
+                to[0][q] = value(3);
+                to[2][q] += added;
+                to[3][q] += added;
             }
     }
 
     // Gives a position the fields of its nearest point where that point has fields of its own; unknown where it is too
     // far.
     void take_apart(Block& block) const {
-        const auto far = static_cast<float>(given_.same_place * given_.same_place);
-        float others[kAreaBlock], nearest[kAreaBlock];
-        std::fill_n(others, kAreaBlock, 1.0f);  // points farther than a radius are not considered
-        std::fill_n(nearest, kAreaBlock, 1.0f);
+        float nearest[kAreaBlock];
+        std::fill_n(nearest, kAreaBlock, 1.0f);  // points farther than a radius are not considered
         for (std::int64_t k = 0; k < block.points.count; ++k)
             for (int q = 0; q < kAreaBlock; ++q) {
                 const float dx = block.points.x[k] - block.fits.x[q], dy = block.points.y[k] - block.fits.y[q];
-                others[q] = std::min(others[q], dx * dx + dy * dy);
+                nearest[q] = std::min(nearest[q], dx * dx + dy * dy);
             }
-        for (const Place& one : places_apart_)
+        for (const std::int64_t k : places_apart_) {
+            const float x = place(k, 0), y = place(k, 1);
             for (int q = 0; q < kAreaBlock; ++q) {
-                const float dx = one.x - block.fits.x[q], dy = one.y - block.fits.y[q], distance = dx * dx + dy * dy;
-                const bool nearer = distance < nearest[q];
-                nearest[q] = nearer ? distance : nearest[q];
-                block.apart[q] = nearer ? one.number : block.apart[q];
+                const float dx = x - block.fits.x[q], dy = y - block.fits.y[q], distance = dx * dx + dy * dy;
+                if (!(distance < nearest[q])) continue;
+                nearest[q] = distance;
+                block.apart[q] = k;
             }
+        }
         for (int q = 0; q < kAreaBlock; ++q) {
-            if (!(nearest[q] < others[q])) {
-                block.apart[q] = -1;
-                continue;
-            }
-            block.fits.known[q] = nearest[q] < far ? 1.0f : 0.0f;
+            if (block.apart[q] < 0) continue;
+            block.fits.known[q] = nearest[q] < far_ ? 1.0f : 0.0f;
             for (int field = 0; field < kAreaFields; ++field)
                 block.fits.fields[field][q] = apart_fields_[kAreaFields * block.apart[q] + field];
         }
     }
 
-    // Copies the points within a radius of a box to `memory`, which has space for all of them.
-    AreaPoints near(float low_x, float low_y, float high_x, float high_y, float* memory) const {
+    // Copies the points within a radius of the box around the positions to `memory`, which has space for all of them.
+    AreaPoints near(const AreaFits& fits, float* memory) const {
         const auto room = static_cast<std::int64_t>(number_.size());
-        float *const x = memory, *const y = x + room, *const u = y + room, *const v = u + room, *const noise = v + room;
-        auto* const number = reinterpret_cast<std::int32_t*>(noise + room);
-        const float middle_x = (low_x + high_x) / 2, half_x = (high_x - low_x) / 2;
-        const float middle_y = (low_y + high_y) / 2, half_y = (high_y - low_y) / 2;
+        auto* const number = reinterpret_cast<std::int32_t*>(memory + 5 * room);
+        const auto [low_x, high_x] = std::minmax_element(fits.x, fits.x + kAreaBlock);
+        const auto [low_y, high_y] = std::minmax_element(fits.y, fits.y + kAreaBlock);
         std::int64_t count = 0;
-        const std::int64_t left = column_of(low_x - 1), right = column_of(high_x + 1), bottom = row_of(high_y + 1);
-        for (std::int64_t row = row_of(low_y - 1); row <= bottom; ++row) {
-            const std::int64_t end = starts_[size(row * columns_ + right + 1)];
-            for (std::int64_t k = starts_[size(row * columns_ + left)]; k < end; ++k) {
+        const std::int64_t left = cell_of(*low_x - 1, 0), right = cell_of(*high_x + 1, 0), bottom = cell_of(*high_y + 1, 1);
+        for (std::int64_t row = cell_of(*low_y - 1, 1); row <= bottom; ++row) {
+            const std::int64_t end = starts_[size(row * cells_[0] + right + 1)];
+            for (std::int64_t k = starts_[size(row * cells_[0] + left)]; k < end; ++k) {
                 // Written always, kept if near: a branch would be mispredicted half the time.
-                x[count] = x_[size(k)];
-                y[count] = y_[size(k)];
-                u[count] = u_[size(k)];
-                v[count] = v_[size(k)];
-                noise[count] = noise_[size(k)];
+                for (int c = 0; c < 5; ++c) memory[c * room + count] = of_points_[c][size(k)];
                 number[count] = static_cast<std::int32_t>(k);
-                const float dx = beyond(x_[size(k)] - middle_x, half_x), dy = beyond(y_[size(k)] - middle_y, half_y);
+                const float x = memory[count], y = memory[room + count];
+                const float dx = x - std::min(std::max(x, *low_x), *high_x), dy = y - std::min(std::max(y, *low_y), *high_y);
                 count += dx * dx + dy * dy < 1.00001f;
             }
         }
-        return {x, y, u, v, noise, number, count};
+        return {memory, memory + room, memory + 2 * room, memory + 3 * room, memory + 4 * room, number, count};
     }
 
     // Standard deviations of the medians, from the points' covariances and the medians' sensitivities to them.
     void deviate() {
-        std::copy(medians_, medians_ + kAreaFields, beside_.median);
-        beside_.reach = static_cast<float>(given_.reach);
-        beside_.even = static_cast<float>(given_.even);
         float total[kAreaFields] = {};
         double joint[kAreaFields] = {};  // of points with fields of their own, whose errors are taken as fully correlated
         for (Block& block : blocks_)
@@ -503,7 +473,7 @@ private:
                     block.fits.known[q] = 0;  // no fit
                     for (int field = 0; field < kAreaFields; ++field) {
                         const float own = apart_deviations_[kAreaFields * block.apart[q] + field];
-                        const float wide = std::max(beside_.reach * own, 1e-15f);
+                        const float wide = std::max(static_cast<float>(given_.reach) * own, 1e-15f);
                         const float away = (block.fits.fields[field][q] - medians_[field]) / wide;
                         const float left = std::max(1 - away * away, 0.0f), weight = left * left / wide;
                         total[field] += weight;
@@ -513,7 +483,7 @@ private:
         std::vector<float> all(number_.size() * kAreaShares), memory;
         for (const Block& block : blocks_) {
             memory.resize(std::max(memory.size(), 2 * kAreaBlock * size(block.points.count)));
-            FINGERFLOW_PICK(add_shares)(settings_, block.points, block.fits, beside_, memory.data(), all.data(), total);
+            FINGERFLOW_PICK(add_shares)(given_, block.points, block.fits, medians_, own_, memory.data(), all.data(), total);
         }
         double variance[kAreaFields] = {};
         for (std::size_t k = 0; k < number_.size(); ++k) {
@@ -525,8 +495,8 @@ private:
         }
         for (int field = 0; field < kAreaFields; ++field) {
             const double scale = std::max(total[field], 1e-30f);
-            const double by_points = std::sqrt(std::max(variance[field], 0.0)) / (settings_.radius * scale);
-            deviations_[field] = static_cast<float>(joint[field] > 0 ? std::hypot(by_points, joint[field] / scale) : by_points);
+            const double by_points = std::sqrt(std::max(variance[field], 0.0)) / (radius_ * scale);
+            deviations_[field] = static_cast<float>(std::hypot(by_points, joint[field] / scale));
         }
     }
 
@@ -535,13 +505,11 @@ private:
     const unsigned char* const apart_;
     const float *const apart_fields_, *const apart_deviations_;
     float *const medians_, *const deviations_, *const share_;
-    const AreaSettings settings_;
-    AreaBeside beside_{};
-    float half_x_ = 0, half_y_ = 0;
-    std::int64_t columns_ = 0, rows_ = 0;
-    std::vector<std::int64_t> starts_, number_;
-    std::vector<float> x_, y_, u_, v_, noise_;
-    std::vector<Place> places_apart_;
+    const float radius_, far_;
+    float own_[4] = {}, half_[2] = {};  // mean covariance of a point; half width and height of the cells
+    std::int64_t cells_[2] = {};
+    std::vector<std::int64_t> starts_, number_, places_apart_;
+    std::vector<float> of_points_[5];  // x, y, u, v and noise
     std::vector<Block> blocks_;
 };
 

@@ -13,11 +13,10 @@ from torch import Tensor
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
-from fingerflow.kernels.strain_formulas import check_measure, sensitivity_parts
+from fingerflow.kernels.strain_formulas import check_measure, sensitivity_parts, strain_parts
 from fingerflow.ops.branching import may_branch
-from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes, point_support
+from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.fields.scattered import check_gauge_length, check_scattered
-from fingerflow.ops.fields.strain import green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import field_std
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
@@ -29,6 +28,8 @@ _FRAMES = 8  # frames that have about the same known points
 _PAIRS = 1 << 20  # pairs of a point and a position in the frames computed at once
 
 _LATTICE = torch.from_numpy(limits.lattice())
+# Divergence and, over sqrt(2), the trace of the strain: orthonormal directions in the space of the five fields.
+_EXPANSION = torch.tensor(((1, 0, 0, 0, 0), (0, 0, 0.5**0.5, 0.5**0.5, 0)), dtype=torch.float64)
 
 
 # Medians of divergence, curl and strain (B, 5), their standard deviations, and the share of each ellipse that is known.
@@ -59,7 +60,9 @@ def area_medians(
 
     A median is NaN where the field is known over less than 0.85 of the ellipse. A position is known if its fit
     satisfies the conditions of `local_gradients` and has points on all sides. Another position takes the fields of the
-    nearest one that is known, up to a distance of a quarter of a gauge length, and counts as known then.
+    nearest one that is known, up to a distance of a quarter of a gauge length, and counts as known then. Of these
+    fields, the divergence and the trace of the strain take the values of planes that are fitted to those known within
+    a gauge length, unless the nearest position has the fields of a point that entered.
 
     Args:
         reference: (1 or B, N, 2) reference positions in a length unit L.
@@ -165,38 +168,39 @@ def _medians(
     lost = xx * yy - xy * yx
     gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(clear, ratio, 1.0)
     fields = _fields(gradient, measure)
-    nearest = std = None
+    nearest, std = torch.zeros_like(clear), None
     if fields_entered is not None and theirs is not None:
-        nearest, given, std, within = _nearest_fields(fields_entered, std_entered, theirs, fit.weights)
-        fields = torch.where(nearest, given, fields)
+        values = fields_entered if std_entered is None else torch.cat((fields_entered, std_entered), dim=2)
+        nearest, values, closest = _nearest_values(values, theirs, fit.weights)
+        std = None if std_entered is None else values[:, _FIELDS:]
+        fields = torch.where(nearest, values[:, :_FIELDS], fields)
+        within = closest > (1 - limits.SAME_PLACE**2) ** 2
         clear = (nearest & within & good) | (clear & ~nearest)  # ONNX runtimes: no `where` of bool
-    # Points end before the border of the contact, and medians without its rim would be those of the inner part.
-    _, beside, _, within = _nearest_fields(fields.mT, None, clear, point_support(positions, positions)[0] * clear)
-    fields, filled = torch.where(clear, fields, beside), clear | within
+    fields, filled = _with_rim(fields, positions, clear, nearest)
     count = filled.to(fields.dtype).sum(2, keepdim=True)
-    enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
+    share = (count / fields.shape[2])[..., 0]
+    enough = share >= limits.LEAST_SHARE
     median = torch.where(enough, _median(fields, filled, count), math.nan)
-    known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
+    known_share = torch.where(good[..., 0], share, math.nan)[:, 0]
     if covariance is None:
         return median, None, known_share
 
-    def closeness(variance: Tensor) -> Tensor:
-        """Return the weights (B, 5, Q) with which errors at Q positions enter those of the medians: (1 - z^2)^2 / r, z
-        the distance from the median in units of the reach r, `REACH` standard deviations, whose square is `variance`
-        (B, 5, Q).
-        """
-        square = (limits.REACH**2 * variance).clamp_min(_TINY)
-        return (1 - (fields - median[..., None]).square() / square).clamp_min(0).square() * square.rsqrt() * clear
-
     covariance, joint = torch.where(usable, covariance, 0.0), torch.zeros_like(median)
-    share = closeness(_even_variance(fit, gradient, covariance, radius, measure))
-    if nearest is not None and std is not None:
-        share = torch.where(nearest, closeness(std.square()), share)
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    parts = sensitivity_parts(xx, xy, yx, yy, measure, torch.zeros_like(xx), torch.ones_like(xx))
+    sensitivity = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
+    variance = _even_variance(fit, sensitivity, covariance, radius)
+    if std is not None:
+        variance = torch.where(nearest, std.square(), variance)
+    # Errors at positions enter those of the medians with weights (1 - z^2)^2 / r, z the distance of the field from the
+    # median in units of the reach r, `REACH` standard deviations.
+    square = (limits.REACH**2 * variance).clamp_min(_TINY)
+    share = (1 - (fields - median[..., None]).square() / square).clamp_min(0).square() * square.rsqrt() * clear
     share = share / share.sum(2, keepdim=True).clamp_min(_TINY)
-    if nearest is not None and std is not None:
-        joint = (share * torch.where(nearest & clear, std, 0.0)).sum(2)
-        share = torch.where(nearest, 0.0, share)
-    x, y = (_mean_derivatives(fit, positions_scaled, gradient, share, measure) / radius).unbind(2)  # (B, 5, N)
+    if std is not None:
+        joint = (share * nearest * std).sum(2)
+        share = share * ~nearest
+    x, y = (_mean_derivatives(fit, positions_scaled, gradient, share, sensitivity) / radius).unbind(2)  # (B, 5, N)
     uu, uv, vv = covariance.split(1, dim=1)
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
     return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share
@@ -207,59 +211,68 @@ def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:
 
     `count` (B, 1, 1) is the number of known values. The median is arbitrary where they are fewer than half.
     """
-    if not torch.compiler.is_exporting():
-        lower, upper = torch.where(valid, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
-        return (lower - upper) / 2
     falling = torch.where(valid, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
     # Both ranks are the same where the count is odd.
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
     return falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
 
 
-def _nearest_fields(
-    fields: Tensor, std: Tensor | None, theirs: Tensor, weights: Tensor
-) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
-    """Return, for each of Q positions, whether its nearest point is one that entered the contact (B, 1, Q), the fields
-    of that point and their standard deviations (B, 5, Q), and whether it is near enough (B, 1, Q).
+def _with_rim(fields: Tensor, positions: Tensor, clear: Tensor, entered: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the fields (B, 5, Q) with those of positions that are not `clear` (B, 1, Q) taken from the clear ones
+    around them, and whether they are known then (B, 1, Q), as one of these is near enough.
 
-    `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where the fields
-    (B, N, 5) of points that entered are known.
+    Points end before the border of the contact, and medians without its rim would be those of the inner part. There
+    the expansion of the skin falls steeply, so that it follows planes fitted within a gauge length. Rotation and shear
+    turn with the border: planes are less accurate for them than the values of the nearest position, as they are for the
+    expansion beside fields of points that `entered` (B, 1, Q), which count from another time.
     """
-    nearest = weights.amax(2, keepdim=True)
-    values = fields if std is None else torch.cat((fields, std), dim=2)
+    expansion = constant_like(_EXPANSION, fields)
+    planes = fit_planes(positions / 2, expansion @ fields, positions / 2, clear, 2.0)
+    columns = torch.cat((fields, entered.to(fields.dtype)), dim=1).mT
+    _, values, closest = _nearest_values(columns, clear, planes.weights * clear)
+    beside, of_entered = values.split((_FIELDS, 1), dim=1)
+    change = torch.where(planes.known & (of_entered < 0.5), planes.value - expansion @ beside, 0.0)
+    within = clear | (closest > (1 - limits.SAME_PLACE**2 / 4) ** 2)
+    return torch.where(clear, fields, beside + expansion.T @ change), within
+
+
+def _nearest_values(values: Tensor, theirs: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return, for each of Q positions, whether its nearest point is among those with values (B, 1, Q), the values of
+    that point (B, C, Q), and its weight (B, 1, Q).
+
+    `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where the `values`
+    (B, N, C) of points are known.
+    """
+    closest = weights.amax(2, keepdim=True)
     columns = torch.cat((torch.ones_like(theirs), theirs), dim=1).to(weights.dtype).mT
     columns = torch.cat((columns, torch.where(theirs.mT, values, 0.0)), dim=2)
     # A product with 0 and 1: gathering is far slower in ONNX runtimes.
-    nearest_values = ((weights == nearest).to(weights.dtype) @ columns).mT
+    nearest_values = ((weights == closest).to(weights.dtype) @ columns).mT
     count, of_them = nearest_values[:, :1], nearest_values[:, 1:2]
-    values = nearest_values[:, 2:] / of_them.clamp_min(1)
-    within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
-    return of_them > count / 2, values[:, :_FIELDS], None if std is None else values[:, _FIELDS:], within
+    return of_them > count / 2, nearest_values[:, 2:] / of_them.clamp_min(1), closest.mT
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:
     """Return the five fields divergence, curl, exx, eyy and exy (B, 5, Q) of displacement gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
-    strain = green_lagrange(gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2), measure)
-    return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
+    return torch.cat((xx + yy, yx - xy, *strain_parts(xx, xy, yx, yy, measure)), dim=1)
 
 
-def _even_variance(fit: PlaneFit, gradient: Tensor, covariance: Tensor, radius: float, measure: str) -> Tensor:
+def _even_variance(fit: PlaneFit, sensitivity: Tensor, covariance: Tensor, radius: float) -> Tensor:
     """Return the variance (B, 5, Q) of five fields at Q positions by fits among evenly spread points, for which sum w^2
     d d' is 0.4 sum w d d'. The covariance of each point is taken as the mean, as much larger as the variances around
     the position are.
 
-    `covariance` (B, 3, N) is 0 for points that are not usable.
+    `covariance` (B, 3, N) is 0 for points that are not usable; `sensitivity` (B, 5, 2, 2, Q) are the derivatives of the
+    fields with respect to displacement gradients.
     """
     mean, noise = symmetric(covariance.sum(2, keepdim=True)), covariance[:, ::2].sum(1, keepdim=True)
     local = (fit.weights @ noise.mT).mT / noise.sum(2, keepdim=True).clamp_min(_TINY)
     slopes = symmetric(limits.EVEN / radius**2 * local * fit.inverse / fit.mass**2)
-    sensitivity = _sensitivity(gradient, measure)
-    by_slopes = products(sensitivity, slopes[:, None])
-    return (products(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
+    return (products(mean[:, None], products(sensitivity, slopes[:, None])) * sensitivity).sum((2, 3))
 
 
-def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
+def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share: Tensor, sensitivity: Tensor) -> Tensor:
     """Return the derivatives (B, 5, 2, N) of the means of five fields (divergence, curl and strain), weighted by
     `share` over Q positions, with respect to the displacement components of N points.
 
@@ -272,16 +285,9 @@ def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share:
     around = products(onward, symmetric(fit.inverse / fit.mass))
     # Derivatives with respect to the position of a point, and to that of the centroid.
     around = torch.cat((around, products(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
-    columns = (products(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
+    columns = (products(sensitivity, around[:, None]) * share[:, :, None, None]).flatten(1, 3)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
     return (sums[:, :, :, :2] * positions[:, None, None]).sum(3) - sums[:, :, :, 2]
-
-
-def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
-    """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to displacement gradients."""
-    xx, xy, yx, yy = gradient.split(1, dim=1)
-    parts = sensitivity_parts(xx, xy, yx, yy, measure, torch.zeros_like(xx), torch.ones_like(xx))
-    return torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
 
 
 def _check(

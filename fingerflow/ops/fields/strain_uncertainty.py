@@ -24,7 +24,7 @@ def curl_std(covariance: Tensor) -> Tensor:
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, by first-order propagation."""
-    (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
+    ux, uy, vx, vy = gradient.flatten(-2).unbind(-1)
     parts = sensitivity_parts(ux, uy, vx, vy, measure, torch.zeros_like(ux), torch.ones_like(ux))
     sensitivity = torch.stack(parts, dim=-1).unflatten(-1, (5, 2, 2))
     rows, columns = sensitivity[..., :, :, None, None], sensitivity[..., None, None, :, :]

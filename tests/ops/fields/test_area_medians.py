@@ -96,30 +96,32 @@ def test_a_turned_ellipse() -> None:
 
 def test_where_nothing_is_known_nothing_is_said() -> None:
     places = cloud()
-    still = torch.zeros_like(places)
-    assert medians(torch.full_like(places, torch.nan), still).median.isnan().all()
-    assert medians(places, torch.full_like(places, torch.nan)).median.isnan().all()
-    for axes in ((torch.nan, torch.nan), (0.0, 0.0), (-1.0, 2.0), (torch.inf, 1.0)):
+    still, unknown = torch.zeros_like(places), torch.full_like(places, torch.nan)
+    for points in ((unknown, still), (places, unknown), (places[:0], still[:0])):
+        assert medians(*points).median.isnan().all()
+    for axes in ((torch.nan, torch.nan), (0.0, 2.0), (-1.0, 2.0), (torch.inf, 1.0)):
         assert medians(places, still, axes).median.isnan().all()
     assert medians(places, still, (2.0, 2.0), center=(500.0, 500.0)).median.isnan().all()
     assert medians(places, still, angle=torch.nan).median.isnan().all()
     assert medians(places, still).median.eq(0).all()
-    assert medians(places[:0], still[:0]).median.isnan().all()
 
 
-def test_how_much_of_an_area_is_known() -> None:
+def test_beyond_the_border_of_the_cloud() -> None:
     """The known share of an ellipse crossed by the border of the cloud equals the share that lies within a quarter of a
     gauge length of the cloud, to 0.05.
 
     Fits extend beyond the border by 0.01 gauge lengths at most: the centroid of the points of a fit must lie within
     0.16 gauge lengths of the position, and does within 0.15 at a straight border.
+
+    There a divergence 0.01 (x + y) goes on as in the cloud, whose outermost fits have it at their centroids: its
+    median, 0.013, would be 0.0107 with the values of the nearest positions.
     """
     places = cloud()
     for border in (-1.0, 0.0, 1.5):
         cut, edge = places.masked_fill(places[:, :1] > border, torch.nan), (border + GAUGE / 4) / 3
         share = (math.acos(-edge) + edge * math.sqrt(1 - edge**2)) / math.pi
         assert abs(medians(cut, 0 * places, (3.0, 3.0)).known.item() - share) < 0.05, border
-    assert medians(places, 0 * places, (3.0, 3.0)).known.item() == 1
+    assert 0.011 < medians(cut, 0.005 * cut.square(), (0.6, 3.0), (1.3, 0.0)).median[0, 0] < 0.013
     assert medians(places, 0 * places, (torch.nan, 3.0)).known.isnan().item()
 
 
