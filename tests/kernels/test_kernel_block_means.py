@@ -30,7 +30,6 @@ def test_compiled_block_means_agree_with_the_portable_form(
     frames = images(shape, dtype, "random")
     for one, other in zip(block_means(frames[:, 0].numpy()), portable(frames[:, 0].numpy(), monkeypatch), strict=True):
         assert one.dtype == other.dtype == np.float32
-        assert one.shape == other.shape
         if dtype.is_floating_point:
             np.testing.assert_allclose(one, other, rtol=2e-7)
         else:
