@@ -17,6 +17,7 @@ import onnxruntime
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.autograd import forward_ad
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
@@ -131,11 +132,15 @@ print(ops.otsu_threshold(frame).item(), ops.median_filter(frame, 3).sum().item()
     assert ran.stdout.split() == ["31.0", str(32.0 * 63)], ran.stderr
 
 
+@pytest.mark.parametrize("last", [0, 1])
 @pytest.mark.parametrize("name", OF_OPS)
-def test_equals_a_loop(name: str) -> None:
-    """vmap of an op agrees with a loop to rounding: the loop uses the compiled kernels, which sum in another order."""
+def test_equals_a_loop(name: str, last: int) -> None:
+    """vmap of an op, over all its tensors or the last alone, agrees with a loop to rounding: the loop uses the compiled
+    kernels, which sum in another order.
+    """
     case = CASES[name]
-    dims = tuple(0 if isinstance(one, Tensor) and one.dtype != torch.int64 else None for one in case.inputs)
+    tensors = [k for k, one in enumerate(case.inputs) if isinstance(one, Tensor) and one.dtype != torch.int64]
+    dims = tuple(0 if k in tensors[-last:] else None for k in range(len(case.inputs)))
     inputs = [
         one if dim is None else torch.stack((one, one.roll(1, 0))) for one, dim in zip(case.inputs, dims, strict=True)
     ]
@@ -144,7 +149,6 @@ def test_equals_a_loop(name: str) -> None:
         tensors_of(case.call(*(one if dim is None else one[k] for one, dim in zip(inputs, dims, strict=True))))
         for k in range(2)
     ]
-    assert results
     for result, *wanted in zip(results, *rows, strict=True):
         torch.testing.assert_close(result, torch.stack(wanted), rtol=1e-4, atol=1e-4, equal_nan=True)
 
@@ -192,6 +196,26 @@ def test_no_derivative_is_an_error_and_not_zero() -> None:
         torch.func.grad(lambda images: torch.func.vmap(flow)(previous, images).sum())(current)
     with pytest.raises(RuntimeError, match=sentence):
         torch.func.vmap(torch.func.grad(flow))(previous, current)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_forward_mode_agrees_with_backward(name: str) -> None:
+    """The tangent of the sum of the results is the same by `torch.func.jvp` and `forward_ad` as by `backward`."""
+    inputs = CASES[name].inputs
+    at = [k for k, one in enumerate(inputs) if isinstance(one, Tensor) and one.is_floating_point()]
+    floats = tuple(inputs[k].double() for k in at)
+
+    def total(*changed: Tensor) -> Tensor:
+        given = dict(zip(at, changed, strict=True))
+        results = tensors_of(CASES[name].call(*(given.get(k, one) for k, one in enumerate(inputs))))
+        return torch.cat([one[one.isfinite()].double() for one in (*results, *changed)]).sum()
+
+    if at:
+        _, wanted = torch.autograd.functional.jvp(total, floats, floats)
+        with forward_ad.dual_level():
+            direct = forward_ad.unpack_dual(total(*map(forward_ad.make_dual, floats, floats))).tangent
+        for found in (direct, torch.func.jvp(total, floats, floats)[1]):
+            torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-4)
 
 
 def compiled_as_it_is(name: str, backend: str, *, tolerance: float = 0.0, dynamic: bool = False) -> None:
@@ -247,18 +271,17 @@ def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch)
         torch.testing.assert_close(result, wanted, rtol=1e-4, atol=1e-3, equal_nan=True)
 
 
-class Network(nn.Module):
-    """Module of an embedder's own with several ops, each with the inputs of its case."""
+NETWORK = ("normalize_illumination", "otsu_threshold", "local_gradients", "divergence")
 
-    ops = ("normalize_illumination", "otsu_threshold", "local_gradients", "divergence")
 
-    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        results: list[Tensor] = []
-        left = iter(inputs)
-        for name in self.ops:
-            own = [next(left) if isinstance(one, Tensor) else one for one in CASES[name].inputs]
-            results += tensors_of(CASES[name].call(*own))
-        return tuple(results)
+def network(*inputs: Tensor) -> tuple[Tensor, ...]:
+    """Return the results of several ops, each with the inputs of its case."""
+    results: list[Tensor] = []
+    left = iter(inputs)
+    for name in NETWORK:
+        own = [next(left) if isinstance(one, Tensor) else one for one in CASES[name].inputs]
+        results += tensors_of(CASES[name].call(*own))
+    return tuple(results)
 
 
 def in_onnx_runtime(module: nn.Module, inputs: tuple[Any, ...], batches: tuple[int, ...]) -> None:
@@ -294,8 +317,8 @@ def test_ops_run_in_onnx_runtime(name: str) -> None:
 
 @pytest.mark.long
 def test_a_module_of_ops_runs_in_onnx_runtime() -> None:
-    inputs = [one for name in Network.ops for one in CASES[name].inputs if isinstance(one, Tensor)]
-    in_onnx_runtime(Network(), tuple(inputs), (2,))
+    inputs = [one for name in NETWORK for one in CASES[name].inputs if isinstance(one, Tensor)]
+    in_onnx_runtime(Exported(network), tuple(inputs), (2,))
 
 
 @pytest.mark.long
@@ -321,9 +344,6 @@ def test_derivatives_are_those_of_the_op() -> None:
     """
     first, second, points, moved = scene(1)
     images = [image.float().requires_grad_() for image in (first, second)]
-
-    def tracked(previous: Tensor, current: Tensor) -> Tensor:
-        return ops.track_points(previous, current, points, window=11).points.nan_to_num().sum()
 
     def fitted(values: Tensor) -> Tensor:
         return ops.local_gradients(points, values, gauge_length=60.0).gradient.square().sum()

@@ -46,6 +46,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from fingerflow.kernels.tensors.torch_op import requires_gradient
 from fingerflow.models.skin_motion import Chains, Motion, advance_chains
 from fingerflow.models.skin_parameters import Number, SkinParameters, parameter_set
 
@@ -89,10 +90,9 @@ class PressedChain:
         indices = touched.nonzero().flatten()
         if not len(indices):
             raise ValueError("no element touches the plate: there is no load to look under")
-        first, last = max(1, int(indices[0])), min(len(touched) - 2, int(indices[-1]))
-        x = self.position[..., first - 1 : last + 2, 0]
-        inside = slice(first, last + 1)
-        return (x[..., 1:] + x[..., :-1]) / 2, self.pressure[..., inside], self.traction[..., inside]
+        first, end = max(1, int(indices[0])), min(len(touched) - 1, int(indices[-1]) + 1)
+        x = self.position[..., first - 1 : end + 1, 0]
+        return (x[..., 1:] + x[..., :-1]) / 2, self.pressure[..., first:end], self.traction[..., first:end]
 
 
 def press(
@@ -177,7 +177,7 @@ def _undeformed_chains(
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     of = parameter_set(parameters)
     tensors = [torch.as_tensor(value) for value in (*loads, friction, *vars(of).values())]
-    if any(value.requires_grad for value in tensors):
+    if requires_gradient(*tensors):
         raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
     chains = Chains.build(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
     return chains, chains.undeformed()

@@ -1,7 +1,9 @@
 """Options of the player, on the command line and as arguments of `play`."""
 
 import argparse
+import contextlib
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +59,15 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     return parser
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not _LEAST < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not above {_LEAST:g}")
-    return value
+def _positive(text: str, number: Callable[[str], Any] = float, least: float = _LEAST) -> Any:
+    with contextlib.suppress(ValueError):
+        if least <= (value := number(text)) < math.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"{text} is not a number from {least:g} on")
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
+def _count(text: str) -> Any:
+    return _positive(text, int, 1)
 
 
 def _address(text: str) -> tuple[str, int] | None:

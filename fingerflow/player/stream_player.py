@@ -392,13 +392,13 @@ class Player:
         """Return the time of the next frame of a recording, s, by the frame rate of the scene, by the time in the file,
         `stamp`, or by the rate at which it is played; None, with a warning, if there is none of these.
         """
-        stated = self.scene.recording.frame_rate
-        rate = stated or self.settings.rate
-        if rate is not None and (stated or math.isnan(stamp)):
-            return (self._first_number + self.frames_in) / rate
-        if math.isnan(stamp) and not self.frames_in and self.source_name != "synthetic":
+        recording, unstamped = self.scene.recording, math.isnan(stamp)
+        rate = recording.frame_rate or self.settings.rate
+        if rate and (recording.frame_rate or unstamped):
+            return (self._first_number + self.frames_in - (recording.trigger_frame or 0)) / rate
+        if unstamped and not self.frames_in and self.source_name != "synthetic":
             log.warning("%s: `time` is that of arrivals here; state recording.frame_rate or --rate", self.source_name)
-        return None if math.isnan(stamp) else stamp
+        return None if unstamped else stamp
 
     def _close_failed(self, source: Source | None, error: Exception, attempt: int) -> None:
         """Log the error of a frame source, close it, and wait before it is reopened, longer at each attempt."""

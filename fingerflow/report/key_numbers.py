@@ -9,7 +9,7 @@ from fingerflow.report.key_frames import KeyFrame
 from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 
-_QUANTITIES = (
+QUANTITIES = (
     "normal_force", "tangential_force", "load_ratio", "gross_contact_area", "real_contact_area", "contact_area_ratio",
     "stuck_ratio", "printed_stuck_ratio", "median_divergence", "median_curl", "global_displacement", "strain_energy",
 )  # fmt: skip
@@ -23,7 +23,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[KeyFrame]) -> list[tuple[st
     """
     indices = [frame for frame, _ in frames]
     rows = [("time", "s", [f"{value:.3f}" for value in result["time"].values[indices]])]
-    for name in _QUANTITIES:
+    for name in QUANTITIES:
         if name not in result or not np.isfinite(result[name].values).any():
             continue
         variable, values = VARIABLES[name], result[name].values

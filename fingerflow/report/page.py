@@ -26,7 +26,7 @@ from fingerflow.plot.wording import frame_text
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.inline_svg import hover_curves, inline_svg
 from fingerflow.report.key_frames import KeyFrame, key_frames
-from fingerflow.report.key_numbers import key_numbers
+from fingerflow.report.key_numbers import QUANTITIES, key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.practice_table import practice_tables
 from fingerflow.report.settings_table import settings_tables, transform_rows
@@ -176,13 +176,14 @@ def write_report(
         .from_string(parts.joinpath("page.html").read_text("utf-8"))
         .render(
             mark=MARK,
-            attrs=result.attrs,
+            result=result,
             heading="/".join(re.split(r"[\\/]", str(result.attrs["frames"]))[-2:]),
             css=parts.joinpath("page.css").read_text("utf-8"),
             js=parts.joinpath("page.js").read_text("utf-8"),
             cautions=cautions(result),
             columns=[(why, int(numbers[frame])) for frame, why in frames],
             numbers=key_numbers(result, frames),
+            quantities=QUANTITIES,
             comparison=comparison,
             sections=sections,
             lost=lost_points(result),
@@ -195,7 +196,6 @@ def write_report(
             practice=practice_tables(result, scene),
             settings=settings_tables(result.attrs["settings"]),
             stages=[(name, value, 1000 * value / len(numbers)) for name, value in seconds.items()],
-            sizes=dict(result.sizes),
             # Only "<" could end a script element, which has no escapes of its own, so it is written as a JSON escape.
             curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
         )

@@ -107,12 +107,6 @@ def test_every_variable_and_key_has_its_place(site: Path) -> None:
     assert not [name for name in SCENE if f"[{name}]<" not in keys]
 
 
-def test_the_methods_name_no_file_that_is_not_here(site: Path) -> None:
-    """No page names a file of ../shared other than ../shared/data: readers of the site have only the repository."""
-    for path in site.rglob("*.html"):
-        assert "../shared" not in re.sub(r"class=\"pre\">\.\./shared/data", "", path.read_text(encoding="utf-8")), path
-
-
 def test_versions_are_equal() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")

@@ -136,14 +136,14 @@ def test_a_force_trace() -> None:
 
 
 def test_what_has_no_derivative_says_so() -> None:
-    needed = torch.tensor(0.1, requires_grad=True)
     for call in (
-        lambda: press(needed, elements=11),
-        lambda: press(0.1, replace(LAB, radius=needed), elements=11),
-        lambda: follow(0.1, torch.tensor([0.0, 0.1]), needed, elements=11),
+        lambda needed: press(needed, elements=11),
+        lambda needed: press(0.1, replace(LAB, radius=needed), elements=11),
+        lambda needed: follow(0.1, torch.tensor([0.0, 0.1]), needed, elements=11),
     ):
-        with pytest.raises(ValueError, match="a press has no gradient: detach"):
-            call()
+        for derivative in (torch.func.grad(call), torch.func.jacfwd(call)):
+            with pytest.raises(ValueError, match="a press has no gradient: detach"):
+                derivative(torch.tensor(0.1))
 
 
 def test_the_frictionless_press_nears_the_half_sphere_laid_flat() -> None:

@@ -15,7 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.report import write_report
 from fingerflow.tracker.frame_results import RESULTS
 
-RATE = "[recording]\nframe_rate = 40.0\n"
+RATE = "[recording]\nframe_rate = 40.0\ntrigger_frame = 2\n"
 FAST = ("--rate", "40")
 
 
@@ -52,16 +52,15 @@ def test_report_and_tables(played: Path, tmp_path: Path) -> None:
         write_report(fingerflow.open_stream(played), None, played)
 
 
-@pytest.mark.parametrize(("rate", "options", "warned"), [("", (), True), (RATE, (), False), ("", FAST, False)])
+@pytest.mark.parametrize(("rate", "options", "zero"), [("", (), None), (RATE, (), 2), ("", FAST, 0)])
 def test_time_is_that_of_the_recording_and_warnings_are_kept(
-    rate: str, options: tuple[str, ...], warned: bool, stream: Stream
+    rate: str, options: tuple[str, ...], zero: int | None, stream: Stream
 ) -> None:
-    """With a frame rate `time` is that of the recording; without one it is that of arrivals, as a warning of the data
-    set says.
+    """With a frame rate `time` is that of the recording, from its trigger; without one it is that of arrivals, as a
+    warning of the data set says.
     """
     stream.scene.write_text(stream.scene.read_text() + rate)
     assert stream.run(*stream.recorded(8), "--policy", "every", *options).code == 0
     result = fingerflow.open_stream(stream.folder / "results")
-    assert ("`time` is that of arrivals" in result.attrs["warnings"]) == warned
-    assert np.array_equal(result["time"], np.arange(8) / 40) != warned
-    assert warned or result.sel(time=0.1)["frame"] == 4
+    assert ("`time` is that of arrivals" in result.attrs["warnings"]) == (zero is None)
+    assert zero is None or np.array_equal(result["time"], (np.arange(8) - zero) / 40)

@@ -170,7 +170,7 @@ MISTAKES = (
     Mistake("live", "a scene of another camera", (*STREAM, "--scene", "scene.toml", "--source", "frames.npy"),
         ("views.contact", "96 x 110 px", "correct rows and columns"),
         _scene("columns = [120, 240]", "columns = [130, 240]")),
-    Mistake("live", "a rate of 0", (*SYNTHETIC, "--rate", "0"), ("--rate", "0 is not above")),
+    Mistake("live", "a rate of 0", (*SYNTHETIC, "--rate", "0"), ("--rate", "0 is not a number")),
     Mistake("live", "results into a folder that exists", (*SYNTHETIC, "--output", "study"), ("study", "another name")),
 )  # fmt: skip
 

@@ -38,12 +38,14 @@ def serve(*tensors: Tensor | None) -> bool:
 
 
 def is_recorded() -> bool:
-    """Return whether torch ops are being traced or intercepted by a dispatch mode or functorch.
+    """Return whether torch ops are being traced, differentiated in forward mode, or intercepted by a dispatch mode or
+    functorch.
 
     The torch compiler does not count.
     """
     return (
         torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+        or torch.autograd.forward_ad._current_level >= 0
         or torch._C._len_torch_dispatch_stack() > 0
         or torch._C._are_functorch_transforms_active()
     )

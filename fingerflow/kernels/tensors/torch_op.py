@@ -54,10 +54,8 @@ def torch_op(*, shapes: Callable[..., Any] | None = None) -> Callable[[Callable[
             return whole(function(*args, **kwargs))
 
         def shaped(*args: Any, **kwargs: Any) -> Any:
-            if shapes is not None:
-                return whole(shapes(*args, **kwargs))
             with shapes_only():
-                return whole(function(*args, **kwargs))
+                return whole((shapes or function)(*args, **kwargs))
 
         _OPS.define(name + _schema(function, len(parts)), tags=(torch.Tag.pt2_compliant_tag,))
         _OPS.impl(name, computed, "CPU" if shapes is None else "CompositeExplicitAutograd")
@@ -87,7 +85,7 @@ def torch_op(*, shapes: Callable[..., Any] | None = None) -> Callable[[Callable[
             """
             if torch.compiler.is_compiling():
                 return not (torch.compiler.is_exporting() and shapes is None) and not requires_gradient(*args)
-            if shapes is None or not any(_is_mapped(one) for one in args):
+            if shapes is None or not any(torch._C._functorch.is_batchedtensor(level) for level in _levels(args)):
                 return False
             if requires_gradient(*args):
                 raise RuntimeError(f"{name} has no derivative under torch.func.vmap: pass a batch (B, ...) instead")
@@ -101,7 +99,7 @@ def torch_op(*, shapes: Callable[..., Any] | None = None) -> Callable[[Callable[
             if kind is Tensor:
                 return cast(_R, result)
             given = [None if none and part.ndim == 1 else part for none, part in zip(may_be_none, result, strict=True)]
-            return named(*given) if named is not None else tuple(given)  # type: ignore[return-value]
+            return cast(_R, (named._make if named else tuple)(given))
 
         return called
 
@@ -109,26 +107,26 @@ def torch_op(*, shapes: Callable[..., Any] | None = None) -> Callable[[Callable[
 
 
 def requires_gradient(*arguments: Any) -> bool:
-    """Return whether any tensor among the arguments requires a gradient, which an opaque op cannot provide.
+    """Return whether any tensor among the arguments requires a gradient, or carries a tangent of forward mode, which an
+    opaque op cannot provide.
 
     `torch.func.vmap` hides from its function that a tensor does, so that the mapped tensor is asked too.
     """
-    tensors = (one for one in arguments if isinstance(one, Tensor))
-    return torch.is_grad_enabled() and any(level.requires_grad for one in tensors for level in _levels(one))
+    levels = _levels(arguments)
+    if torch.is_grad_enabled() and any(level.requires_grad for level in levels):
+        return True
+    return any(torch.autograd.forward_ad.unpack_dual(level).tangent is not None for level in levels)
 
 
-def _is_mapped(argument: Any) -> bool:
-    return isinstance(argument, Tensor) and any(torch._C._functorch.is_batchedtensor(one) for one in _levels(argument))
-
-
-def _levels(tensor: Tensor) -> list[Tensor]:
-    """Return a tensor and, in turn, those that it wraps, one for each transform of `torch.func` (such as vmap or grad)
-    around its function.
+def _levels(arguments: tuple[Any, ...]) -> list[Tensor]:
+    """Return the tensors among the arguments and, in turn, those that they wrap, one for each transform of `torch.func`
+    (such as vmap or grad) around a function.
     """
-    levels = [tensor]
+    levels = [one for one in arguments if isinstance(one, Tensor)]
     if not torch.compiler.is_compiling() and torch._C._are_functorch_transforms_active():
-        while torch._C._functorch.is_functorch_wrapped_tensor(levels[-1]):
-            levels.append(torch._C._functorch.get_unwrapped(levels[-1]))
+        for level in levels:
+            if torch._C._functorch.is_functorch_wrapped_tensor(level):
+                levels.append(torch._C._functorch.get_unwrapped(level))
     return levels
 
 

@@ -25,19 +25,15 @@ def weighted_moments(
     Points that are not `usable` (B, N) do not count. Points (B, N, 2) and queries (B, Q, 2) must be finite, and values
     and noise 0 where a point is not usable; batches may be 1. Queries are processed in pieces of bounded size.
     """
-    geometries = torch.broadcast_shapes(points.shape[:1], queries.shape[:1])[0]
     present = usable[..., None].to(values.dtype)
     present_and_data = torch.cat((present, values), dim=-1)
-    rows = max(1, _CHUNK_ELEMENTS // max(1, geometries * points.shape[1]))
+    rows = max(1, _CHUNK_ELEMENTS // max(1, points.shape[0] * points.shape[1], queries.shape[0] * points.shape[1]))
     point_x, point_y = (coordinate[:, None].contiguous() for coordinate in points.unbind(-1))
     query_x, query_y = (coordinate[:, :, None].contiguous() for coordinate in queries.unbind(-1))
     constant, scale = points.new_ones(()), -1 / radius**2
     components, noises = values.shape[2], 0 if noise is None else noise.shape[2]
     widths = [1] * 4 + [1 + components] * 3 + [noises] * 6
-    batch = torch.broadcast_shapes((geometries,), values.shape[:1])[0]
-    # Write pieces into one tensor: small results kept between the large matrices would fragment the heap.
-    sums = values.new_empty(batch, queries.shape[1], sum(widths))
-    for start in range(0, queries.shape[1], rows):
+    for start in range(0, max(1, queries.shape[1]), rows):
         # Use differences to the query instead of raw moments, which lose the digits of points far from the origin.
         dx = point_x - query_x[:, start : start + rows]
         dy = point_y - query_y[:, start : start + rows]
@@ -53,7 +49,11 @@ def weighted_moments(
             piece += [_summed(weight * kernel, noise) for kernel in (weight, weight_x, weight_y)]
             piece += [_summed(weight_x * kernel, noise) for kernel in (weight_x, weight_y)]
             piece += [_summed(weight_y * weight_y, noise)]
-        sums[:, start : start + rows] = torch.cat(piece, dim=-1)
+        sums_of_piece = torch.cat(piece, dim=-1)
+        if start == 0:
+            # Write pieces into one tensor: small results kept between the large matrices would fragment the heap.
+            sums = sums_of_piece.new_empty(sums_of_piece.shape[0], queries.shape[1], sum(widths))
+        sums[:, start : start + rows] = sums_of_piece
 
     count, xx, xy, yy, plain, along_x, along_y, *noisy = sums.split(widths, dim=-1)
     first = torch.stack((along_x[..., 0], along_y[..., 0]), dim=-1)

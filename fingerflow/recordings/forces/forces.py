@@ -45,14 +45,12 @@ class Forces:
             raise FingerflowError(
                 f"{self.path}: the time of sample {row} is {self.times[row]}; every sample needs a time"
             )
-        steps = np.diff(self.times)
-        if (wrong := steps <= 0).any():
+        if (wrong := np.diff(self.times) <= 0).any():
             row = int(wrong.argmax())
-            problem = "the same time as" if steps[row] == 0 else "an earlier time than"
             raise FingerflowError(
-                f"{self.path}: sample {row + 1} has {problem} the one before ({self.times[row + 1]:g} s after "
+                f"{self.path}: sample {row + 1} is not later than the one before ({self.times[row + 1]:g} s after "
                 f"{self.times[row]:g} s; {wrong.sum()} such places). Times must increase; "
-                "if their digits are too few, pass sample_rate="
+                "if their digits are too few, give sample_rate in Hz"
             )
         for name, values in self.channels.items():
             if values.shape != self.times.shape:

@@ -39,7 +39,7 @@ def read_table(path: Path) -> ForceTable:
         file.visititems(take)
     if len(rates) > 1:
         raise FingerflowError(
-            f"{path}: states several sample rates ({', '.join(map(str, sorted(rates)))} Hz); pass sample_rate="
+            f"{path}: states several sample rates ({', '.join(map(str, sorted(rates)))} Hz); give sample_rate in Hz"
         )
     table.sample_rate = rates.pop() if rates else None
     return table

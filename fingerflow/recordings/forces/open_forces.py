@@ -86,10 +86,9 @@ def open_forces(
     canonical: dict[str, str] = {}
     scales: dict[str, float] = {}
     for name, column in selected.items():
-        data = table.columns[column]
         is_length = column in {_name(table, length) for length in lengths}
         factor, canonical[name] = _unit(table, column, column == trigger, is_length)
-        values[name], scales[name] = data * factor, factor
+        values[name], scales[name] = table.columns[column] * factor, factor
     of_trigger = next((name for name, column in selected.items() if column == trigger), None)
     return Forces(location, times, values, canonical, of_trigger, scales=scales, warnings=table.warnings)
 
@@ -108,15 +107,13 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
     if time is None:
         candidates = [name for name in table.columns if _is_time(name)]
         if len(candidates) > 1:
-            raise FingerflowError(
-                f"{table.path}: several columns could be the time, {candidates}; choose one with time="
-            )
+            raise FingerflowError(f"{table.path}: several columns could be the time, {candidates}; choose one as time")
         time = candidates[0] if candidates else None
     if time is None:
         if table.sample_rate is None:
             raise FingerflowError(
                 f"{table.path}: has no time: no sample rate and no column called {', '.join(TIME_NAMES)}. "
-                f"Pass time= with one of {_names(table)}, or sample_rate="
+                f"Give as time one of {_names(table)}, or sample_rate in Hz"
             )
         return np.empty(0), None
     unit = table.units.get(time, "s")
@@ -189,7 +186,10 @@ def _selected_columns(
     Without a choice these are all columns as long as the times, or as the longest column.
     """
     if isinstance(channels, Mapping):
-        return {name: _name(table, column) for name, column in channels.items()}
+        selected = {name: _name(table, column) for name, column in channels.items()}
+        if len({*selected.values(), time_column}) <= len(selected):
+            raise FingerflowError(f"{table.path}: one column is named twice in {selected}, time {time_column!r}")
+        return selected
     if channels is not None:
         chosen = [channels] if isinstance(channels, str) else channels
         return {name: name for name in (_name(table, column) for column in chosen)}
@@ -243,7 +243,7 @@ def force_facts(path: str | PathLike[str]) -> dict[str, Any]:
         columns[name] = f"{data.size} samples of {least} to {largest} {table.units.get(name, '(no unit)')}"
     return {
         "path": str(table.path),
-        "sample_rate_hz": table.sample_rate or next((rate for rate in rates if rate), None),
+        "sample_rate_hz": table.sample_rate or next(filter(None, rates), None),
         "columns": columns,
         "warnings": table.warnings,
     }

@@ -39,7 +39,12 @@ def glass(press: Path) -> Array:
         ("trigger_frame = 1 ", "trigger_frame = 8", r"trigger_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
         ("# first_frame = 0", "first_frame = 8", r"first_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
         ('trigger = "trigger"', 'trigger = "start"', "forces.csv: has no column 'start'; its columns are .*'trigger'"),
-        ('trigger = "trigger"', 'trigger = "normal_force"', r"trigger is 'normal_force', the channel of a force"),
+        ('trigger = "trigger"', "trigger = 2", "trigger is 2, the channel of a force"),
+        (
+            'tangential = "tangential_force"',
+            "tangential = 2",
+            "one column is named twice in .*'tangential_force': 'nor",
+        ),
         ("trigger_level = 2.5", 'trigger_level = 2.5\ntime = "clock"', "forces.csv: has no column 'clock'"),
         ('/forces.csv"', '/../../../../../../../dev/zero"', "/dev/zero: is a device, not a file"),
     ],

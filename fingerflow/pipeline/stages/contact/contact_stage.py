@@ -300,12 +300,11 @@ class ContactStage(Stage):
 
     def _most_contact(self) -> tuple[int, str]:
         """Return the usable frame that is expected to have most contact, and which that is in words: by the normal
-        force or, where it is unknown, by the darkest contact view.
+        force or, where it is unknown or none, by the darkest contact view.
         """
         normal = self.known("normal_force")
-        force = np.where(self.usable, np.nan if normal is None else normal, np.nan)
-        if not np.isnan(force).all():
-            frame = int(np.nanargmax(force))
+        if normal is not None and (pressed := self.usable & (normal > plausibility.LEAST_NORMAL)).any():
+            frame = int(np.argmax(np.where(pressed, normal, 0.0)))
             return frame, f"the largest force (frame {frame + self.first_frame})"
         looks = self._sampled_frames()
         shares = [self._brightness(self._counts(i)) for i in looks]
@@ -347,8 +346,7 @@ class ContactStage(Stage):
             if faults:
                 raise FingerflowError(f"{path}: no contact: {faults[0]}")
             seen = view_faults.described(frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame)
-            no_forces = self.inputs.scene.forces is None
-            clocks = "" if no_forces else "frame rate and trigger of [recording] and [forces], then "
+            clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""
             raise FingerflowError(
                 f"{path}: no contact at {self.moment}: {seen or 'the contact view is that of the background'}. "
                 f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "

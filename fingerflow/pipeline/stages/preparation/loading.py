@@ -20,7 +20,6 @@ _LEAST_TANGENTIAL = 0.05  # N, tangential force below which its direction is und
 _TANGENTIAL = ("tangential_force", "tangential_force_across")
 # Units in the scene, and the names by which `open_forces` knows them.
 _UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}
-_LEAST_NORMAL = 0.05  # N, least normal force for T/N: ten times the noise of a sensor; below, noise dominates T/N
 Series = NDArray[np.float64]
 
 
@@ -40,11 +39,6 @@ class LoadingStage(Stage):
             return
         names = _channels(settings)
         travel = {} if settings.position is None else {"actuator_position": settings.position}
-        if settings.trigger is not None and settings.trigger in names.values():
-            raise FingerflowError(
-                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
-                "channel of the camera's trigger, or leave trigger out where both clocks begin together"
-            )
         forces = open_forces(
             settings.file,
             channels=names | travel,
@@ -54,6 +48,11 @@ class LoadingStage(Stage):
             trigger=settings.trigger,
             lengths=travel.values(),
         )
+        if forces.trigger in names:
+            raise FingerflowError(
+                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
+                "channel of the camera's trigger, or leave trigger out where both clocks begin together"
+            )
         if settings.trigger is not None and settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
             if inputs.scene.recording.trigger_frame is None and not inputs.recording.has_trigger:
@@ -80,7 +79,7 @@ class LoadingStage(Stage):
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
             # Take the magnitude of filtered components: with unfiltered ones noise biases it where the force is near 0.
-            tangential, pressed = np.hypot(x, y) if len(components) == 2 else x, normal > _LEAST_NORMAL
+            tangential, pressed = np.hypot(x, y) if len(components) == 2 else x, normal > plausibility.LEAST_NORMAL
             direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
             ratio = np.where(pressed, tangential / np.where(pressed, normal, 1), np.nan)
             self.series |= {"tangential_force": tangential, "tangential_direction": direction}

@@ -19,6 +19,7 @@ _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, 
 _MOST_GAUGE = 1 / 3
 # Plausible values for fingertips, with a margin for every hand and laboratory.
 _RIDGE_MM = (0.3, 0.7)  # mm, ridge period: 0.46 mm on average in adults, from a child's to a broad thumb's
+LEAST_NORMAL = 0.05  # N, least normal force for T/N: ten times the noise of a sensor; below, noise dominates T/N
 _MOST_FORCE = 100.0  # N, peak normal force of one finger: maximal pinch forces are 50 to 100 N
 _PRESSURE_KPA = (1.0, 300.0)  # kPa, normal force over gross area at the peak: 5 to 100 kPa at 0.1 to 20 N
 _YOUNG_MPA = (0.005, 20.0)  # MPa, Young's modulus: skin and pulp in vivo have 0.01 to 3 MPa, gels from 0.005 MPa
@@ -137,8 +138,10 @@ def check_young_modulus(modulus_mpa: float) -> Iterator[str]:
 
 
 def check_force(normal: Series) -> Iterator[str]:
-    """Yield a warning if a normal force (frames,) N exceeds what a finger can exert."""
-    peak = float(np.nanmax(normal, initial=0.0))
+    """Yield a warning if a normal force (frames,) N exceeds what a finger can exert, or is none."""
+    peak = np.fmax.reduce(normal)
+    if peak <= LEAST_NORMAL:
+        yield f"the normal force is never above {LEAST_NORMAL} N: check forces.normal, its gain and the amplifier"
     if peak > _MOST_FORCE:
         yield (
             f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in "
@@ -363,7 +366,7 @@ def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float
         return
     if len(touching) < 3:
         few = f"{len(touching)} of {len(points)} points come into contact"
-        yield f"{few}: no gradient can be fitted. Ask for more points"
+        yield f"{few}: no gradient can be fitted. Check topography_to_contact and [stream] region, or ask for more"
     elif gauge_mm < _POINTS_IN_GAUGE * spread:
         yield (
             f"fields.gauge_length_mm = {gauge_mm:g}, and {len(touching)} points lie some {spread:.2g} mm apart: a "
