@@ -40,7 +40,6 @@ _CODE = (
 )  # fmt: skip
 WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
 _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file
-_SHOWN = 60  # largest number of characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
@@ -171,7 +170,7 @@ def _reason_to_compute(
         return ""
     then: Mapping[str, Any] = record["settings"]
     changed = [
-        f"{name} was {_shown(then.get(name))} and is {_shown(value)}"
+        f"{name} was {then.get(name)!s:.60} and is {value!s:.60}"
         for name, value in key.settings.items()
         if then.get(name) != value
     ]
@@ -239,8 +238,3 @@ def code_version() -> str:
     files = (*(file for room in _CODE for file in (package / room).rglob("*.py")), *package.glob("_kernels*"))
     parts = (f"{file.relative_to(package).as_posix()} ".encode() + file.read_bytes() for file in sorted(files))
     return f"{__version__} {digest_of_bytes(parts)}"
-
-
-def _shown(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ..."

@@ -25,6 +25,8 @@ from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
+Mask = NDArray[np.bool_]
+
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
 _STEP = 4  # px between sampled pixels
@@ -173,7 +175,7 @@ class ContactStage(Stage):
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
-    def largest_and_first(self, window_px: int) -> NDArray[np.bool_]:
+    def largest_and_first(self, window_px: int) -> Mask:
         """Return the mask (h, w) of the gross contact in the frame with most contact, united with that of the
         first usable frame if the contact has moved away from it.
 
@@ -183,7 +185,7 @@ class ContactStage(Stage):
         largest, first = self._largest, self._region_in(np.argmax(self.usable))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
-    def touched(self, frames: int = _LOOKS) -> NDArray[np.bool_]:
+    def touched(self, frames: int = _LOOKS) -> Mask:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
         return np.any([self._region_in(frame) for frame in self._sampled_frames(frames)], axis=0)
 
@@ -192,7 +194,7 @@ class ContactStage(Stage):
         looks = np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int)
         return usable[np.unique(looks)]
 
-    def first_and_largest(self, margin_px: int) -> NDArray[np.bool_]:
+    def first_and_largest(self, margin_px: int) -> Mask:
         """Return the union (h, w) of the gross contact masks in the first usable frame and in the frame with most
         contact, dilated by `margin_px`.
 
@@ -270,10 +272,10 @@ class ContactStage(Stage):
                 self._several_parts = bool(several)
                 self.warnings += several
 
-    def _region_in(self, frame: np.integer) -> NDArray[np.bool_]:
+    def _region_in(self, frame: np.integer) -> Mask:
         return self._gross_region(self._contact(frame))
 
-    def _gross_region(self, contact: FrameContact) -> NDArray[np.bool_]:
+    def _gross_region(self, contact: FrameContact) -> Mask:
         if not (contact.density_margin > 0).any():
             return np.zeros(self._view.shape, dtype=bool)
         return np.asarray(mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)[0, 0])

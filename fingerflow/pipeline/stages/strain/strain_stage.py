@@ -27,6 +27,8 @@ from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
+Values = NDArray[np.floating]
+
 Series = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -44,7 +46,7 @@ _TAKEN = 0.7
 _KEPT = 0.5
 _ENERGIES = "strain_energy", "strain_energy_std", "strain_energy_between_points", "strain_energy_between_points_std"
 
-Array = NDArray[np.floating]
+Array = Values
 
 
 class StrainStage(Stage):
@@ -143,7 +145,7 @@ class StrainStage(Stage):
             deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, corrected.energy, touching))
         self._sum_up(batch, touching, corrected.density.cpu().numpy(), corrected.energy.cpu().numpy(), deviation)
 
-    def _triangle_strain(self, moved: torch.Tensor, covariance: NDArray[np.floating], touching: Mask) -> TriangleStrain:
+    def _triangle_strain(self, moved: torch.Tensor, covariance: Values, touching: Mask) -> TriangleStrain:
         contact = torch.from_numpy(touching).to(self.inputs.device)
         given = self._reference, self._corners, moved, self.inputs.tensor(covariance), contact, self._shared
         young, poisson = self._elastic
@@ -166,7 +168,7 @@ class StrainStage(Stage):
         return lost.cpu().numpy()
 
     def _sum_up(
-        self, batch: Batch, touching: Mask, density: NDArray[np.floating], between: Series,
+        self, batch: Batch, touching: Mask, density: Values, between: Series,
         between_std: Series,
     ) -> None:  # fmt: skip
         """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
@@ -217,7 +219,7 @@ class StrainStage(Stage):
         share = np.where(lacking < 0, 1.0, _INSIDE)
         self._between_std[frames[fitted]] = np.hypot(deviation[fitted], share * lacking)
 
-    def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, NDArray[np.floating], Mask]:
+    def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, Values, Mask]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
         arguments for `ContactEnergy.estimate`.
 
