@@ -74,7 +74,7 @@ def test_a_column_with_a_dot_is_a_key_of_the_scene(study: Manifest, lab: Path) -
             "",
             ["trials.csv, row 3: answer is 'maybe'", "trials.csv, row 4: condition is empty"],
         ),
-        ([("trial2/frames", "trial1/frames")], "", ["row 3: its recording and settings are those of", "row 2"]),
+        ([("trial2/frames", "trial1/frames")], "", ["row 3: its recording and settings are those of"]),
         ([("01,2,0,1", "01,01,0,1")], "", ["row 3: trial 01 of participant 01, condition 0, is also", "row 2"]),
         ([], "tracking.pionts", ["did you mean 'tracking.points'"]),
         ([], "divergence", ["is one that the study measures"]),

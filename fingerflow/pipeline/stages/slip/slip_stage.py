@@ -29,6 +29,7 @@ from fingerflow.schema.variables import SLIP
 from fingerflow.tracker.area_steps import cut_shares
 from fingerflow.tracker.vibration import FRAMES_READ
 
+Series = NDArray[np.float64]
 Array = NDArray[Any]
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
@@ -173,13 +174,13 @@ class SlipStage(Stage):
         now, first = (corrections[part][:, self._known] @ self._of_px.T for part in (frames, slice(0, 1)))
         return self._motion(frames) + now - first
 
-    def _points_and_cells(self, motion: Array, grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
+    def _points_and_cells(self, motion: Array, grid: SlipGrid) -> tuple[Series, Field]:
         """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
         contact cells.
         """
         return self._point_displacement(motion, grid), self._cell_displacement(motion, grid)
 
-    def _point_displacement(self, motion: Array, grid: SlipGrid) -> NDArray[np.float64]:
+    def _point_displacement(self, motion: Array, grid: SlipGrid) -> Series:
         """Return the displacement (N, 2) mm, in one frame, of the skin at the first-frame positions of the points."""
         return motion
 
@@ -187,7 +188,7 @@ class SlipStage(Stage):
         """Return the displacement (rows, columns, 2) mm of the skin at the grid cells of the contact in one frame."""
         return grid.displacement(motion)
 
-    def _seen(self, motion: Array, grid: SlipGrid) -> NDArray[np.float64]:
+    def _seen(self, motion: Array, grid: SlipGrid) -> Series:
         """Return the positions (K, 2) mm, in one frame, of all points whose displacement `motion` is known."""
         positions = grid.points + motion
         return positions[np.isfinite(positions).all(-1)]
@@ -274,9 +275,7 @@ class SlipStage(Stage):
                 self._growth[:, frame] = grid.growth((regions[frame - 1 - start], region), earlier, later, self._pull)
         self.results["stuck_region"][slice(first, end)] = stuck
 
-    def _look_at_slip(
-        self, frame: int, start: int, motion: Array, moved: NDArray[np.float64], slips: Mask, grid: SlipGrid
-    ) -> None:
+    def _look_at_slip(self, frame: int, start: int, motion: Array, moved: Series, slips: Mask, grid: SlipGrid) -> None:
         """Store the direction, rad, of the mean displacement and the mean speed, mm/s, of slipping skin in a frame,
         from the points that the mask `slips` marks; `motion` is that of the frames from `start` on.
         """
@@ -292,9 +291,7 @@ class SlipStage(Stage):
                 seconds = self.inputs.times[after] - self.inputs.times[before]
                 self.series["slip_speed"][frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
-    def _judged(
-        self, ratio: NDArray[np.float64], forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]
-    ) -> partial_slip.TrialVerdict:
+    def _judged(self, ratio: Series, forces: Series | None, deviation: Series) -> partial_slip.TrialVerdict:
         start = "in the first frame, from which displacement counts: set [recording] first_frame"
         cut = "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
         reasons = {
