@@ -1,13 +1,15 @@
 """Reuse of an earlier result: check stage by stage which results are still valid for the current settings.
 
 The key of a stage is a digest of its settings, the keys of the stages before it, the code, the engine and the device,
-and of the frames where it or a stage before it reads pictures. The engine counts because results of two engines agree
-only to rounding. Where the key is the same, results are the same bit for bit.
+and, where it or a stage before it reads pictures, of the first frame and of the files of all frames.
+The engine counts because results of two engines agree only to rounding. Where the key is the same, results are the same
+bit for bit.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,30 +22,24 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.plan import Plan
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Stage
-from fingerflow.recordings import open_recording
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
+from fingerflow.recordings.frames.images import list_images
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.store import Store
+from fingerflow.schema.text_file import check_file
 
 #: Attributes of a result, both JSON: the cache keys of its stages (`record`), and the stages copied from an earlier
 #: result.
 STAGES, TAKEN_OVER = "stages", "taken_over"
-_TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
-_PICTURES = ("background.frames", "background.dark")
+_TIMES, _MASK = "recording.times", ".region.mask"
+_FILES = ("background.frames", "background.dark", "forces.file")
+_IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files
 _CODE = (
-    "engines",
-    "export",
-    "graphs",
-    "kernels",
-    "models",
-    "ops",
-    "pipeline/stages",
-    "recordings",
-    "results",
-    "schema",
+    "engines", "export", "graphs", "kernels", "models", "ops", "pipeline/stages", "recordings", "results", "schema",
     "tracker",
-)
-_SHOWN = 60  # largest number of characters of a setting shown in a message
+)  # fmt: skip
+WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
+_SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file
 
 
 class StageKey(NamedTuple):
@@ -52,7 +48,7 @@ class StageKey(NamedTuple):
 
     Attributes:
         digest: of all of it.
-        settings: values by dotted keys of the scene. A file is represented by a digest of the content that is read.
+        settings: values by dotted keys of the scene. A file is represented by the digest of `_written`.
     """
 
     digest: str
@@ -94,6 +90,7 @@ def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], StageKey] = {}
+    recording += _written(inputs.recording.path)
     # Cache, since several stages digest the same background frames.
     setting_values: dict[str, list[tuple[str, Any]]] = {}
     pictures: set[type[Stage]] = set()  # stages whose results depend on frames
@@ -173,7 +170,7 @@ def _reason_to_compute(
         return ""
     then: Mapping[str, Any] = record["settings"]
     changed = [
-        f"{name} was {_shown(then.get(name))} and is {_shown(value)}"
+        f"{name} was {then.get(name)!s:.60} and is {value!s:.60}"
         for name, value in key.settings.items()
         if then.get(name) != value
     ]
@@ -182,14 +179,14 @@ def _reason_to_compute(
     before = [variable.name for variable in (*stage.after, *stage.same_pass) if variable in computed]
     if before:
         return f"it depends on {', '.join(before)}"
-    return "it was computed by another version of the code, by another engine, with other outputs, or elsewhere"
+    return "it was computed by another version of the code, by another engine, from other frames, or with other outputs"
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
     """Yield the dotted name and the value of the scene setting `key`, or of each setting in it if it is a table;
     `values` are all settings of the scene.
 
-    For a key that names a file, the value is a digest of the file's content.
+    For a key that names a file, the value is the digest of `_written`.
     """
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
@@ -200,20 +197,38 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
     if isinstance(value, dict):
         for name in value:
             yield from _settings(f"{key}.{name}", values, inputs)
-    elif key in _PICTURES and value is not None:
-        with open_recording(Path(value)) as still:
-            yield key, identity_of(still) if len(still) else ""
-    elif (key == _FORCES or key.endswith(_MASK)) and value is not None:
-        yield key, _content(Path(str(value).partition("::")[0]))
+    elif (key in _FILES or key.endswith(_MASK)) and value is not None:
+        yield key, _written(Path(value))
     else:
         yield key, value
 
 
-def _content(file: Path) -> str:
-    try:
-        return digest_of_bytes([file.read_bytes() if file.is_file() else b""])
-    except OSError:  # the stage that reads the file reports the error
-        return ""
+def _written(path: Path) -> str:
+    """Return a digest of the files of a recording, of which "::" names a member: of what `content` yields, and of the
+    time of modification of files of which that is a part.
+    """
+    files = files_of(Path(str(path).partition("::")[0]))
+    large = [file.stat().st_mtime_ns for file in files if file.stat().st_size > WHOLE_BYTES]
+    return digest_of_bytes(chain([str(large).encode()], *map(content, files)))
+
+
+def files_of(file: Path) -> list[Path]:
+    """Return the files of a recording: the images of a folder, both files of an MRAW recording, or the file itself."""
+    if file.is_dir():
+        return sorted(list_images(file))
+    beside = file.parent.iterdir() if file.suffix.lower() in _IN_TWO else ()
+    return sorted(path for path in beside if path.stem == file.stem and path.suffix.lower() in _IN_TWO) or [file]
+
+
+def content(file: Path) -> Iterator[bytes]:
+    """Yield name and size of a file as bytes, then its content; of a large file only evenly spaced samples."""
+    size = check_file(file)
+    samples, most = (_SAMPLES, _SAMPLE_BYTES) if size > WHOLE_BYTES else (1, size)
+    yield f"{file.name} {size} ".encode()
+    with file.open("rb") as opened:
+        for number in range(samples):
+            opened.seek(round(number * (size - most) / (_SAMPLES - 1)))
+            yield opened.read(most)
 
 
 @cache
@@ -223,8 +238,3 @@ def code_version() -> str:
     files = (*(file for room in _CODE for file in (package / room).rglob("*.py")), *package.glob("_kernels*"))
     parts = (f"{file.relative_to(package).as_posix()} ".encode() + file.read_bytes() for file in sorted(files))
     return f"{__version__} {digest_of_bytes(parts)}"
-
-
-def _shown(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ..."

@@ -37,15 +37,9 @@ _Result = TypeVar("_Result")
 
 
 def process(
-    scene: Scene | str | Path,
-    outputs: Iterable[str] | None = None,
-    device: str = "auto",
-    progress: bool = False,
-    engine: str = "auto",
-    to: str | Path | None = None,
-    overwrite: bool = False,
-    earlier: str | Path | None = None,
-) -> xr.Dataset:
+    scene: Scene | str | Path, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False,
+    engine: str = "auto", to: str | Path | None = None, overwrite: bool = False, earlier: str | Path | None = None,
+) -> xr.Dataset:  # fmt: skip
     """Compute the requested `outputs` of a scene, running only the stages needed for these outputs.
 
     Args:

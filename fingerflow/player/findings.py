@@ -20,6 +20,7 @@ class Findings:
 
     Attributes:
         not_usable: number of frames without results, by the names of `frame_status`.
+        cut: largest share of the border of the contact that the edge of the view cuts off, and number of its frame.
     """
 
     def __init__(self) -> None:
@@ -30,6 +31,7 @@ class Findings:
         self._areas: deque[tuple[int, float]] = deque(maxlen=_AREAS)  # frame number and gross area
         self._wide = self._unknown = 0  # frames with a wide contact, and those of them without median divergence
         self._first_unknown = self._last_unknown = -1
+        self.cut = 0.0, 0
 
     def skip(self, status: int) -> bool:
         """Count an unusable frame by its status, an index into `FRAME_STATUS`; return whether the status differs from
@@ -39,10 +41,11 @@ class Findings:
         begins, self._last = status != self._last, status
         return begins
 
-    def count(self, frame: int, tracked: int, area: float, gross_area: float, median: float) -> None:
-        """Count a usable frame by its number: number of tracked points, real and gross area in mm^2, and median
-        divergence.
+    def count(self, frame: int, tracked: int, area: float, gross_area: float, median: float, cut: float) -> None:
+        """Count a usable frame by its number: number of tracked points, real and gross area in mm^2, median divergence,
+        and share of the border of the contact at the edge of the view.
         """
+        self.cut = max(self.cut, (cut, frame))
         self._areas.append((frame, gross_area))
         self._last = USABLE
         self._usable += 1

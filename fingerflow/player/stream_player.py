@@ -31,6 +31,7 @@ from fingerflow.player.sending import Destination, Sender
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
+from fingerflow.tracker.area_steps import check_cut, cut_shares
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
 from fingerflow.tracker.reseeding import ThresholdSearch
@@ -216,6 +217,7 @@ class Player:
         view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2
         for fault, sentences in {
             "faint": self._tracker.check_faint_rim(),
+            "cut": check_cut(*self._findings.cut),
             "steps": self._findings.area_steps(view_mm2, slides),
             "vibrates": () if slides else self._tracker.check_vibration(),
         }.items():
@@ -529,7 +531,8 @@ class Player:
             fields["slip_flag"][index] = self._tracker.slipping
         else:
             self._layout.fill(fields, index, results, k)
-            counted = (results[name][k] for name in ("real_contact_area", "gross_contact_area", "median_divergence"))
+            counted = [results[name][k] for name in ("real_contact_area", "gross_contact_area", "median_divergence")]
+            counted += [*cut_shares(self._tracker.contact(outcome).density_margin[:, 0], counted[1])]
             self._findings.count(slot.number, outcome.tracked, *map(float, counted))
         if self._forces is not None:
             for name, force in self._forces.read(slot.number, slot.arrival).items():

@@ -16,7 +16,6 @@ Reader = Literal["process", "stream"]
 PROCESS, STREAM = frozenset[Reader](("process",)), frozenset[Reader](("stream",))
 BOTH = PROCESS | STREAM
 NOBODY = frozenset[Reader]()
-_LEAST_DETERMINANT = 1e-6
 _TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
@@ -263,12 +262,11 @@ def moment(choices: tuple[str, ...]) -> KeyType:
     return KeyType(words, convert, choices=choices)
 
 
-_PIXEL = number(least=0)(True)
 #: Half-open range [first, end) of pixels.
 PIXEL_RANGE = list_of(
     "[first, end)",
     "two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]",
-    (_PIXEL, _PIXEL),
+    (number(least=0)(True),) * 2,
     holds=lambda pixels: pixels[0] < pixels[1],
 )
 
@@ -280,7 +278,8 @@ def row(**items: NumberType) -> KeyType:
     return list_of(words, f"it should be a list of {len(items)} numbers, {words}", types)
 
 
-PAIR = row(x=number(), y=number())
+_POSITION = number(least=-1e6, most=1e6)  # px
+PAIR = row(x=_POSITION, y=_POSITION)
 
 
 def _span_area(corners: Sequence[tuple[float, float]]) -> bool:
@@ -297,13 +296,14 @@ CORNERS = list_of(
     holds=_span_area,
 )
 
-_ROW = list_of("", "three numbers are needed", (ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
+_SCALE = number(least=-100, most=100)(False)
+_ROW = list_of("", "three numbers are needed", (_SCALE, _SCALE, _POSITION(False)))
 #: Invertible affine transform [[a, b, x], [c, d, y]].
 TRANSFORM = list_of(
     "[[a, b, x], [c, d, y]]",
     "a transform [[a, b, x], [c, d, y]] that does not map the whole view onto a line is needed",
     (_ROW, _ROW),
-    holds=lambda rows: abs(rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]) > _LEAST_DETERMINANT,
+    holds=lambda rows: abs(rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]) > 1e-6,
 )
 
 

@@ -189,7 +189,7 @@ class GaugeSettings:
     """
 
     gauge_length_mm: float = key("diameter over which a gradient is fitted (virtual strain gauge)", 1.6,
-        number(above=0, most=100))
+        number(least=0.001, most=100))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import BOTH, CORNERS, PAIR, PIXEL_RANGE, PROCESS, File, WrongValue, number, row
 from fingerflow.schema.keys import key, table
 
-_POSITIVE = number(above=0)
+_SEMI_AXIS = number(least=1e-3, most=1e6)
 
 
 def negative(counts: Any, bit_depth: int | None) -> Any:
@@ -73,7 +73,7 @@ class DrawnEllipse:
     """
 
     center: tuple[float, float] = key("centre [x, y]", type=PAIR, needed_by=BOTH, unit="px")
-    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=row(a=_POSITIVE, b=_POSITIVE), needed_by=BOTH,
+    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=row(a=_SEMI_AXIS, b=_SEMI_AXIS), needed_by=BOTH,
         unit="px")
     angle: float = key("of the axis a, from x towards y", 0.0, unit="rad")
 

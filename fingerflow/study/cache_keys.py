@@ -5,23 +5,17 @@ depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.reuse import code_version
+from fingerflow.pipeline.reuse import WHOLE_BYTES, code_version, content, files_of
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
-from fingerflow.recordings.frames.images import list_images
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.text_file import check_file
 from fingerflow.study.dotted_keys import flattened
-
-_IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files, which are digested together
-_WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
-_SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file
 
 
 @dataclass(frozen=True)
@@ -89,13 +83,12 @@ def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
     """Return size, times and digest of a file or folder, taking `earlier.digest` if nothing was written since."""
     file, _, member = str(path).partition("::")
     try:
-        facts = [(part, part.stat()) for part in _list_files(Path(file))]
+        facts = [(part, part.stat()) for part in files_of(Path(file))]
         size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
         state = digest_of(*((part.name, fact.st_ino, fact.st_ctime_ns) for part, fact in facts))
         if earlier is not None and (earlier.size, earlier.modified, earlier.state) == (size, modified, state):
             return InputFile(str(path), size, modified, earlier.digest, state)
-        contents = (content for part, fact in facts for content in _content(part, fact.st_size))
-        digest = digest_of_bytes(chain([member.encode()], contents))
+        digest = digest_of_bytes(chain([member.encode()], *(content(part) for part, _ in facts)))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
     return InputFile(str(path), size, modified, digest, state)
@@ -106,7 +99,7 @@ def same_content(before: InputFile, now: InputFile) -> bool:
     only samples of a large file, so is the modification time.
     """
     unchanged = (before.size, before.digest) == (now.size, now.digest)
-    return unchanged and (before.modified == now.modified or now.size <= _WHOLE_BYTES)
+    return unchanged and (before.modified == now.modified or now.size <= WHOLE_BYTES)
 
 
 @cache
@@ -119,26 +112,3 @@ def all_codes() -> dict[str, str]:
         for name in ("study/row.py", "models/growth_laws.py", "schema/trial_columns.py")  # decide the content of a row
     )
     return {"result": code_version(), "row": digest_of(*texts)}
-
-
-def _list_files(file: Path) -> list[Path]:
-    if file.is_dir():
-        return sorted(list_images(file))
-    if file.suffix.lower() in _IN_TWO:
-        return sorted(
-            path for path in file.parent.iterdir() if path.stem == file.stem and path.suffix.lower() in _IN_TWO
-        )
-    return [file]
-
-
-def _content(file: Path, size: int) -> Iterator[bytes]:
-    """Yield name and size of a file as bytes, then its content; of a large file only evenly spaced samples."""
-    yield f"{file.name} {check_file(file)} ".encode()
-    with file.open("rb") as opened:
-        if size <= _WHOLE_BYTES:
-            while part := opened.read(1 << 20):
-                yield part
-            return
-        for number in range(_SAMPLES):
-            opened.seek(round(number * (size - _SAMPLE_BYTES) / (_SAMPLES - 1)))
-            yield opened.read(_SAMPLE_BYTES)

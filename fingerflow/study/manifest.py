@@ -4,6 +4,7 @@ import difflib
 import os
 import re
 import tomllib
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
+from fingerflow.schema.delimited import is_numeric
 from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene import Scene, parse_toml, scene_from
 from fingerflow.schema.scene_tables import find_entry
@@ -118,6 +120,12 @@ def load_manifest(path: str | Path) -> Manifest:
     if "answers" in study:
         answer_rows, matched = matching(rows, path.parent / study["answers"])
         for row, answer_row in zip(rows, answer_rows, strict=True):
+            there, here = (spelled_alike(each.get(CONDITION, "")) for each in (answer_row, row))
+            if there and here and there != here:
+                raise FingerflowError(
+                    f"{study['answers']}: condition {there} of participant {row[PARTICIPANT]}, trial {row[TRIAL]} is "
+                    f"{here} in {trials_path}; correct one"
+                )
             row.update({name: value for name, value in answer_row.items() if not row.get(name)})
             row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
@@ -182,11 +190,13 @@ def matching(rows: Sequence[Mapping[str, str]], answers: Path) -> tuple[list[dic
 
 
 def spelled_alike(name: str) -> str:
-    """Return a participant, trial or condition in the spelling that tables are joined by: 01 and 1, 2.0 and 2, P01 and
-    p1 are the same, as a spreadsheet drops leading zeros.
+    """Return a participant, trial or condition in the spelling that tables are joined by: 01 and 1, 2.0 and 2, .5 and
+    0,5, P01 and p 1 are the same, as are characters that look alike (Unicode's NFKC).
     """
-    name = re.sub(r"(?<![\d.,])0+(?=\d)", "", name.strip().casefold())
-    return re.sub(r"^([-+]?\d+)\.0*$|^([-+]?\d+\.\d*[1-9])0+$", r"\1\2", name).removeprefix("+")
+    name = "".join(unicodedata.normalize("NFKC", name).casefold().split())
+    if len(name) < 16 and is_numeric([name]):  # a float holds so many digits
+        return f"{float(name.replace(',', '.')) + 0.0}"  # of -0 too
+    return re.sub(r"(?<![\d.,])0+(?=\d)", "", name)
 
 
 def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[TrialEntry, ...]:
@@ -210,13 +220,18 @@ def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[Trial
         except FingerflowError as error:
             wrong.append(str(error))
     trials = Counter((entry.participant, entry.trial) for entry in entries)
-    names, spellings = dict[str, str](), dict[tuple[str, str], str]()
+    firsts, spellings = dict[Any, str](), dict[tuple[str, str], str]()
     for entry in entries:
-        if (first := names.setdefault(entry.name, entry.origin)) != entry.origin:
+        spelled = tuple(map(spelled_alike, (entry.participant, entry.condition, entry.trial)))
+        if (first := firsts.setdefault(spelled, entry.origin)) != entry.origin:
             wrong.append(
                 f"{entry.origin}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, "
                 f"is also {first}; number the trials"
             )
+        if (
+            first := firsts.setdefault(str({**entry.settings, "forces": 0, "background": 0}), entry.origin)
+        ) != entry.origin:
+            wrong.append(f"{entry.origin}: its recording and settings are those of {first}; name its own recording")
         for name, text in ((PARTICIPANT, entry.participant), (CONDITION, entry.condition)):
             if text != (other := spellings.setdefault((name, spelled_alike(text)), text)):
                 wrong.append(f"{entry.origin}: {name} is {text!r}, and {other!r} in another row; write both alike")

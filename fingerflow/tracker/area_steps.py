@@ -1,4 +1,5 @@
-"""Steps of the gross contact area from one frame to the next that no contact makes, in recordings and streams.
+"""Faults of the gross contact area, in recordings and streams: steps from one frame to the next that no contact makes,
+and a contact that the edge of the view cuts off.
 
 Areas are in mm^2 and forces in N, one value a frame from number `first_frame` on, NaN where there is none.
 """
@@ -15,6 +16,8 @@ _JUMP = 0.25
 # Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
 # neighbouring frames on either side.
 _MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
+# Least share of the border of the contact at the edge of the view, and least area, mm², of which it is reported.
+_CUT, _CUT_MM2 = 0.03, 1.0
 Series = NDArray[np.float64]
 
 
@@ -61,4 +64,24 @@ def check_light_steps(gross: Series, view_area: float, first_frame: int) -> Iter
             f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
             f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
             f"recording.first_frame and last_frame"
+        )
+
+
+def cut_shares(margin: NDArray[np.floating], gross: Series) -> Series:
+    """Return the shares (n,) of the border of the contact that lie at the edge of the view in n frames, about, by the
+    cells that are positive in `margin` (n, rows, columns); 0 where the gross area (n,) mm^2 is small.
+    """
+    inside = margin > 0
+    cut = inside[:, [0, -1]].sum((1, 2)) + inside[..., [0, -1]].sum((1, 2))
+    return np.where(gross > _CUT_MM2, cut / np.maximum(2 * np.sqrt(np.pi * inside.sum((1, 2))), 1), 0)
+
+
+def check_cut(share: float, frame: int) -> Iterator[str]:
+    """Yield a warning if the edge of the view cuts off the contact: the largest `share` of its border that lies there,
+    in a frame of this number.
+    """
+    if share > _CUT:
+        yield (
+            f"the edge of the contact view cuts off {share:.0%} of the border of the contact in frame {frame}: areas, "
+            f"ellipse, medians and energy are of the rest. Make [views.contact] larger, or press in its middle"
         )

@@ -48,10 +48,8 @@ def displacement_medians(
         area = {"lattice": limits.lattice(), "least_share": limits.LEAST_SHARE, "beside": limits.REACH}
         return compiled("displacement_medians")(**points, **area, reach=reach, border=BORDER_MM)
     medians, deviations = np.full((2, len(position), 2), np.nan)
-    for frame in range(len(position)):
-        medians[frame], deviations[frame] = _of_frame(
-            *(position[frame], displacement[frame], variance[frame], ellipses[frame], reach)
-        )
+    for frame, values in enumerate(zip(position, displacement, variance, ellipses, strict=True)):
+        medians[frame], deviations[frame] = _of_frame(*values, reach)
     return medians, deviations
 
 

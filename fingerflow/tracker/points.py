@@ -90,16 +90,9 @@ class Points:
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        image: Images,
-        points: Array,
-        around: Array | None = None,
-        motion: PointMotion | None = None,
-        *,
-        template: str = "keyframe",
-        knowledge: Knowledge = RECORDING,
-    ) -> None:
+        self, engine: Engine, image: Images, points: Array, around: Array | None = None,
+        motion: PointMotion | None = None, *, template: str = "keyframe", knowledge: Knowledge = RECORDING,
+    ) -> None:  # fmt: skip
         """Prepare the templates of `points` (N, 2) px in the key frame `image` (1, 1, h, w).
 
         `around` (A, 2) px are the surrounding points in it; NaN stands for no point. By default the points are at rest

@@ -70,11 +70,10 @@ def deformed_alike(
     constant = np.ones_like(first)[..., None]
     for _ in range(_ROUNDS):
         here = sample(number, positions, warp)
-        slopes = []
-        for along in np.array([[_BESIDE, 0.0], [0.0, _BESIDE]], np.float32):
-            ahead = sample(number, positions + along, warp)
-            behind = sample(number, positions - along, warp)
-            slopes.append((ahead - behind) / (2 * _BESIDE))
+        slopes = [
+            (sample(number, positions + along, warp) - sample(number, positions - along, warp)) / (2 * _BESIDE)
+            for along in _BESIDE * np.eye(2, dtype=np.float32)
+        ]
         by_warp = np.concatenate([slope[..., None] * steps for slope in slopes], -1)
         unknown = np.concatenate((by_warp, -first[..., None], -constant), -1)
         valid = (np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1)).nonzero()[0]

@@ -19,6 +19,8 @@ from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
 from fingerflow.view.key_forms import reword
 
+Array = NDArray[Any]
+
 _SAMPLED = 24  # number of frames that set the range of colours
 _RANGE = 0.96  # quantile of the values at the end of the range of colours
 _ARROW_PX = 40  # px, drawn length of the largest displacement
@@ -76,7 +78,7 @@ class Results:
             "arrow_scale": self._arrow_scale(),
         }
 
-    def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, Array]]:
         """Return scalar results by name, and arrays by name (positions, displacements, regions, values of a map), of
         the frame at an index of the result; `shown` is the key of the map, or None.
 
@@ -89,7 +91,7 @@ class Results:
         numbers = {name: values[frame] for name, values in self._courses.items()}
         numbers["time"], numbers["text"] = float(data["time"][frame]), self._text_of_frame(frame)
         numbers |= {name: self._row(name, frame) for name in ("ellipse_center", "ellipse_semi_axes") if name in data}
-        arrays: dict[str, NDArray[Any]] = {}
+        arrays: dict[str, Array] = {}
         if "position" in data:
             arrays["position"] = self._row("position", frame).astype(np.float32)
             arrays["status"] = self._row("status", frame).astype(np.uint8)
@@ -247,13 +249,13 @@ class Results:
         name = self._name(key)
         return self._component(key, self.data[name].dims[1:], self._row(name, frame))
 
-    def _row(self, name: str, frame: int) -> NDArray[Any]:
+    def _row(self, name: str, frame: int) -> Array:
         """Return the stored values of a variable in the frame at an index of the result."""
         if name not in self._stored:
             self._stored[name] = self._file[name]
         return self._stored[name][frame]
 
-    def _component(self, key: str, dims: tuple[Hashable, ...], values: NDArray[Any]) -> Values:
+    def _component(self, key: str, dims: tuple[Hashable, ...], values: Array) -> Values:
         part, last = key.partition(":")[2], str(dims[-1]) if dims else ""
         values = np.asarray(values, dtype=np.float64)
         if last not in LABELS:
@@ -265,5 +267,5 @@ class Results:
         return values[..., LABELS[last].index(part)]
 
 
-def _csv(columns: dict[str, NDArray[Any]]) -> str:
+def _csv(columns: dict[str, Array]) -> str:
     return str(pd.DataFrame(columns).to_csv(index=False, float_format="%.9g", na_rep="nan", lineterminator="\n"))

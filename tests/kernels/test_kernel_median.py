@@ -5,7 +5,7 @@ import torch
 
 from fingerflow.kernels import tensors as kernels
 from tests.kernels.kernel_images import images
-from tests.ops.filters.test_median import scipy_median
+from tests.kernels.scipy_median import scipy_median
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

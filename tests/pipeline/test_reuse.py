@@ -124,6 +124,10 @@ def test_a_file_with_other_content_is_a_change(folder: Path, tmp_path: Path, ran
     forces.write_text(forces.read_text(encoding="utf-8").strip().rpartition("\n")[0], encoding="utf-8")
     process(tmp_path / "press" / "scene.toml", ["normal_force", "strain"], earlier=tmp_path / "press" / "result.h5")
     assert {"loading", "contact"} <= ran  # the reference frame of the contact is the one with the largest force
+    np.save(tmp_path / "press" / "frames.npy", np.load(folder / "frames.npy")[[*range(7), 6]])
+    ran.clear()
+    process(tmp_path / "press" / "scene.toml", earlier=tmp_path / "press" / "result.h5")
+    assert {"contact", "tracking"} <= ran  # although the first frame is the same
 
 
 def test_another_recording_is_refused(folder: Path, tmp_path: Path) -> None:

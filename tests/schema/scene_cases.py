@@ -152,7 +152,7 @@ _ROWS = (
     _number("points", "700", "tracking.points is '700': it should be a whole number", '"700"'),
     _number("points", "700", "tracking.points is True: it should be a whole number", "true"),
     _number("points", "700", "tracking.points is 700.0: it should be a whole number", "700.0"),
-    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is True: it should be a number", "true"),
+    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is 1e-300: it should be at least 0.001", "1e-300"),
     _number("depth_mm", "2.0", "fields.depth_mm is inf: it should be a finite number", "inf"),
     _number("gain_offset", "true", "tracking.gain_offset is 0: it should be true or false", "0"),
     # Ranges and enumerations.
@@ -176,6 +176,7 @@ _ROWS = (
     _number("topography_to_contact", MATRIX, "of item 1 three numbers are needed; a transform", "[[1, 0], [0, 1]]"),
     _number("topography_to_contact", MATRIX, "of item 1 of item 3 it should be a number", "[[1, 0, 'x'], [0, 1, 0]]"),
     _number("topography_to_contact", MATRIX, "that does not map the whole view onto a line", "[[1, 2, 3], [2, 4, 0]]"),
+    _number("topography_to_contact", MATRIX, "of item 3 it should be at most 1e+06", "[[1, 0, 1e9], [0, 1, 0]]"),
     ("mm_per_px", "intrinsics = [9.0, 9.0]\nmm_per_px", "intr", "it should be a list of 4 numbers, [fx, fy, cx, cy]"),
     ("mm_per_px", "intrinsics = [9, 0, 1, 1]\nmm_per_px", "intr", "of item 2 it should be above 0; it should be a "),
     ("mm_per_px", "distortion = [1, 0, 0, 0]\nmm_per_px", "dist", "a list of 5 numbers, [k1, k2, p1, p2, k3]"),
@@ -201,9 +202,9 @@ _ROWS = (
     # Regions.
     _region("polygon = [[0, 0], [9, 9]]", "polygon is [[0, 0], [9, 9]]: three or more corners [x, y] in px of the"),
     _region("polygon = [[0, 0], [9, 9], [5, 5]]", "not all on a line, are needed"),
-    _region("polygon = [[0, 0], [9, 9], [5]]", "of item 3 it should be a list of 2 numbers, [x, y]"),
+    _region("polygon = [[0, 0], [9, 9], [5e9, 0]]", "of item 1 it should be at most 1e+06"),
     _region("ellipse = {center = [9, 9]}", "ellipse.semi_axes is missing; add it"),
-    _region("ellipse = {center = [9, 9], semi_axes = [0, 1]}", "semi_axes is [0, 1]: of item 1 it should be above 0"),
+    _region("ellipse = {center = [9, 9], semi_axes = [1e-200, 1]}", "of item 1 it should be at least 0.001"),
     _region("", "one of 'polygon', 'ellipse' or 'mask' is needed, and there are none"),
     _region(f"polygon = {CORNERS}, ellipse = {{center = [9, 9], semi_axes = [2, 1]}}", "there are polygon and ellipse"),
     _region("circle = 3", "is not a key; known here: ellipse, mask, polygon"),

@@ -31,14 +31,14 @@ def test_a_recording_counts_by_its_content(folder: Path) -> None:
 
 def test_a_large_file_that_was_touched_is_not_certainly_the_same(tmp_path: Path) -> None:
     path = tmp_path / "large.bin"
-    path.write_bytes(bytes(room._WHOLE_BYTES + 1))
+    path.write_bytes(bytes(room.WHOLE_BYTES + 1))
     before = describe_file(path)
     assert same_content(before, describe_file(path, before))
     os.utime(path, ns=(1, 1))
     assert not same_content(before, describe_file(path, before))
 
 
-@pytest.mark.parametrize("size", [4096, room._WHOLE_BYTES + 1])
+@pytest.mark.parametrize("size", [4096, room.WHOLE_BYTES + 1])
 @pytest.mark.parametrize("replaced", [True, False])
 def test_a_file_of_the_same_size_and_time_is_read_again(size: int, replaced: bool, tmp_path: Path) -> None:
     path, other = tmp_path / "a.bin", tmp_path / "b.bin"

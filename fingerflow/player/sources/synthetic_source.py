@@ -114,8 +114,7 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 def _semi_axes(progress: float, shape: tuple[int, int]) -> tuple[float, float]:
     """Return the semi-axes (x, y) px of the simulated contact in a view of (height, width) px."""
-    height, width = shape
-    return (0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height
+    return (0.18 + 0.14 * progress) * shape[1], (0.18 + 0.18 * progress) * shape[0]
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
@@ -126,12 +125,8 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
     """
     height, width = shape
     shift_x, shift_y, turn, spread = 4 * progress, -2 * progress, 0.01 * progress, 1 + 0.04 * progress
-    y, x = np.meshgrid(
-        np.arange(height, dtype=np.float32) - height / 2,
-        np.arange(width, dtype=np.float32) - width / 2,
-        indexing="ij",
-        sparse=True,
-    )
+    rows, columns = np.ogrid[:height, :width]
+    y, x = (rows - height / 2).astype(np.float32), (columns - width / 2).astype(np.float32)
     moved_x, moved_y = x - shift_x, y - shift_y
     # Position at the start of the skin that is visible at a pixel.
     u = (math.cos(turn) * moved_x + math.sin(turn) * moved_y) / spread

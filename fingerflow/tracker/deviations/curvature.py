@@ -80,8 +80,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
 
     slopes = gradient(points[:, valid] - positions)
     # Each component by itself, as the graph of a bundle fits two values.
-    squares = np.add.reduce(np.square(gradient(slopes[:, :, 0])), (-2, -1))
-    squares += np.add.reduce(np.square(gradient(slopes[:, :, 1])), (-2, -1))
+    squares = sum(np.add.reduce(np.square(gradient(slopes[:, :, part])), (-2, -1)) for part in range(2))
     squares[np.isnan(squares)] = 0
     result[:, valid] = (_SHARE * (window**2 - 1) / 24) ** 2 * squares
     return result

@@ -15,6 +15,8 @@ from fingerflow.tracker.faint_rim import check_faint_rim
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import TINY_PRESS, warnings_of
 
+HALF = [[50, 0], [119, 0], [119, 95], [50, 95]]  # px of the contact view, which contain a part of the contact
+
 
 def test_what_is_plausible_says_nothing() -> None:
     """Forces with an offset or none, the slowest growth of a real contact, and a slide are plausible."""
@@ -92,6 +94,11 @@ def test_pictures_that_contradict_the_settings_are_said(changed: Change, frames:
     for first in ("# first_frame = 0", "first_frame = 2", "first_frame = 5"):
         with pytest.raises(FingerflowError, match="the background is the recording itself"):
             process(changed({"# first_frame = 0": first}, empty=frames))
+    for old, new, said in (
+        ("columns = [120, 240]", "columns = [170, 240]", "the edge of the contact view cuts off 23% of the border"),
+        ("[views.contact]", f"[views.contact]\nregion = {{polygon = {HALF}}}", "or the border of views.contact.region"),
+    ):
+        assert said in warnings_of(process(changed({old: new}), ["gross_contact_area"]))
     dim = frames.copy()
     dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
     warnings = warnings_of(process(changed(fixed, frames=dim), ["gross_contact_area"]))

@@ -25,6 +25,8 @@ from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
+Mask = NDArray[np.bool_]
+
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
 _STEP = 4  # px between sampled pixels
@@ -63,6 +65,7 @@ class ContactStage(Stage):
         self._on_glass = SizesOnGlass(self.inputs.geometry, self.cell_px)
         frames = len(trial)
         self._gain = np.full(frames, np.nan)  # illumination gain
+        self._cut = np.zeros(frames)  # share of the border of the contact at the edge of the view
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
         self.faint_rim_mm = self._pale_rim_mm = 0.0
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
@@ -80,7 +83,7 @@ class ContactStage(Stage):
         first = int(np.argmax(self.usable))
         at_first = self._changed(first)
         faults = [*plausibility.check_exposure(*at_first, first + self.first_frame)]
-        self.warnings.extend(faults or plausibility.check_background(at_first[0], first + self.first_frame))
+        self.warnings += faults or plausibility.check_background(at_first[0], first + self.first_frame)
         self.reference_frame, self.moment = self._most_contact()
         changed, appears = self._changed(self.reference_frame), self.inputs.scene.contact.appears
         faults = faults or [*plausibility.check_contrast(*changed, appears, self.moment)]
@@ -92,7 +95,7 @@ class ContactStage(Stage):
         skin = self._counts(self.reference_frame)[0] - self._black
         self.skin = ridges.skin_patch(skin, self._glass, self._largest)
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
-        self.warnings.extend(plausibility.check_ridges(self._period_px, self.inputs.mm_per_px))
+        self.warnings += plausibility.check_ridges(self._period_px, self.inputs.mm_per_px)
         self._check_view(contact)
         if "gross_contact_region" in self.trial.requested:
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
@@ -108,6 +111,7 @@ class ContactStage(Stage):
             region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self.usable[indices, None, None]
         self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
+        self._cut[indices] = area_steps.cut_shares(contact.density_margin[:, 0], sizes.gross) * self.usable[indices]
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
@@ -130,16 +134,17 @@ class ContactStage(Stage):
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
-        self.warnings.extend(plausibility.check_areas(real, gross, radius, self.first_frame))
-        self.warnings.extend(area_steps.check_light_steps(gross, area, self.first_frame))
+        self.warnings += plausibility.check_areas(real, gross, radius, self.first_frame)
+        self.warnings += area_steps.check_light_steps(gross, area, self.first_frame)
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
-            self.warnings.extend(area_steps.check_missing_frames(gross, normal, self.first_frame))
-        self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, self.first_frame))
+            self.warnings += area_steps.check_missing_frames(gross, normal, self.first_frame)
+        self.warnings += area_steps.check_cut(self._cut.max(), int(self._cut.argmax()) + self.first_frame)
+        self.warnings += view_faults.check_strip(self.series["ellipse_semi_axes"], gross, self.first_frame)
         if normal is not None:
-            self.warnings.extend(plausibility.check_pressure(normal, gross))
-            self.warnings.extend(plausibility.check_onset(normal, gross, self.first_frame))
-            self.warnings.extend(plausibility.check_growth(normal, gross))
+            self.warnings += plausibility.check_pressure(normal, gross)
+            self.warnings += plausibility.check_onset(normal, gross, self.first_frame)
+            self.warnings += plausibility.check_growth(normal, gross)
         period_mm = self._period_px * self.inputs.mm_per_px
         self.about["gross_contact_area"] = {"ridge_period_mm": period_mm, "faint_rim_mm": self.faint_rim_mm}
 
@@ -170,7 +175,7 @@ class ContactStage(Stage):
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
-    def largest_and_first(self, window_px: int) -> NDArray[np.bool_]:
+    def largest_and_first(self, window_px: int) -> Mask:
         """Return the mask (h, w) of the gross contact in the frame with most contact, united with that of the
         first usable frame if the contact has moved away from it.
 
@@ -180,7 +185,7 @@ class ContactStage(Stage):
         largest, first = self._largest, self._region_in(np.argmax(self.usable))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
-    def touched(self, frames: int = _LOOKS) -> NDArray[np.bool_]:
+    def touched(self, frames: int = _LOOKS) -> Mask:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
         return np.any([self._region_in(frame) for frame in self._sampled_frames(frames)], axis=0)
 
@@ -189,7 +194,7 @@ class ContactStage(Stage):
         looks = np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int)
         return usable[np.unique(looks)]
 
-    def first_and_largest(self, margin_px: int) -> NDArray[np.bool_]:
+    def first_and_largest(self, margin_px: int) -> Mask:
         """Return the union (h, w) of the gross contact masks in the first usable frame and in the frame with most
         contact, dilated by `margin_px`.
 
@@ -206,26 +211,26 @@ class ContactStage(Stage):
         region, light = self._largest, self._glass_light[0][0, 0]
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
-        self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
-        self.warnings.extend(view_faults.check_background_lines(light))
+        self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
+        self.warnings += view_faults.check_background_lines(light)
         if region.any():
-            period = self._period_px
+            searched, drawn = self._light[0][0, 0], self._view.region is not None
             radius_px = self.inputs.scene.contact.gross_radius_px
-            self.warnings.extend(view_faults.check_unlit_glass(region, light, radius_px))
-            if np.isfinite(period):
+            self.warnings += view_faults.check_unlit_glass(region, searched, radius_px, drawn)
+            if np.isfinite(self._period_px):
                 picture = self._counts(self.reference_frame)[0] - self._black
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                shadow = [*view_faults.check_shadow(picture / lit, away, period)]
-                self.warnings.extend(shadow or self._check_rim(frame, contact))
+                shadow = [*view_faults.check_shadow(picture / lit, away, self._period_px)]
+                self.warnings += shadow or self._check_rim(frame, contact)
                 if contact.real_contact_mask is not None:
-                    self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
+                    self.warnings += view_faults.check_sweat(contact.real_contact_mask[0, 0], self._period_px)
         usable = np.flatnonzero(self.usable)
         pictures = (
             (frame + self.first_frame, self._counts(frame)[0] - self._black)
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
-        self.warnings.extend(view_faults.check_moved_glass(pictures, light, away))
+        self.warnings += view_faults.check_moved_glass(pictures, light, away)
 
     def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> Iterable[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
@@ -265,12 +270,12 @@ class ContactStage(Stage):
                 frame = index + self.first_frame
                 several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, pixel_mm2[k], frame)]
                 self._several_parts = bool(several)
-                self.warnings.extend(several)
+                self.warnings += several
 
-    def _region_in(self, frame: np.integer) -> NDArray[np.bool_]:
+    def _region_in(self, frame: np.integer) -> Mask:
         return self._gross_region(self._contact(frame))
 
-    def _gross_region(self, contact: FrameContact) -> NDArray[np.bool_]:
+    def _gross_region(self, contact: FrameContact) -> Mask:
         if not (contact.density_margin > 0).any():
             return np.zeros(self._view.shape, dtype=bool)
         return np.asarray(mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)[0, 0])

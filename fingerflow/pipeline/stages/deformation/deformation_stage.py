@@ -138,7 +138,7 @@ class DeformationStage(Stage):
         if self.by_onsets:
             if pressed:
                 gross = self.results["gross_contact_area"][:]
-                self.warnings.extend(plausibility.check_beginning(gross, self.first_frame))
+                self.warnings += plausibility.check_beginning(gross, self.first_frame)
             gauge = inputs.scene.fields.gauge_length_mm
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
             self.common_position, self.some_later = common, bool(self._later.any())
@@ -175,7 +175,7 @@ class DeformationStage(Stage):
             self.results.create("rigid_residual")
         minor = self.border.semi_axes[:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
-        self.warnings.extend(plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest))
+        self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = self.common_position if self.by_onsets else self.reference
         self._deformation = Deformation(self._engine, positions)
@@ -255,7 +255,7 @@ class DeformationStage(Stage):
         self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
         gross, known = self.results["gross_contact_area"][:], self.series["field_coverage"]
         of_frames = self._median[:, 0], known, gross, self._settings.gauge_length_mm
-        self.warnings.extend(plausibility.check_fields(*of_frames, self.first_frame))
+        self.warnings += plausibility.check_fields(*of_frames, self.first_frame)
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

@@ -22,6 +22,8 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
 
+Array = NDArray[Any]
+
 # Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
 _REFERENCE_FRAMES = 64
 _LEAST_LIGHT = 0.05  # least share of the light of the empty glass that a picture without light lacks
@@ -70,7 +72,7 @@ class Inputs:
         """Return an array as a float32 tensor on the device of the run."""
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
-    def counts(self, frames: NDArray[Any], view: View) -> NDArray[Any]:
+    def counts(self, frames: Array, view: View) -> Array:
         """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it,
         so that contact is dark in every picture from which contact is measured.
         """
@@ -82,14 +84,14 @@ class Inputs:
     def _is_bright(self, view: View) -> bool:
         return self.scene.contact.appears == "bright" and view == self.scene.views.contact
 
-    def view(self, frames: NDArray[Any], view: View) -> Tensor:
+    def view(self, frames: Array, view: View) -> Tensor:
         """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
 
         8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
         """
         return images_on(self.device, view.crop(frames))
 
-    def contact_view(self, frames: NDArray[Any]) -> Tensor:
+    def contact_view(self, frames: Array) -> Tensor:
         """Return the contact view of frames (n, H, W) as `view` does, and its negative if contact appears bright."""
         return images_on(self.device, self.counts(frames, self.scene.views.contact))
 
@@ -150,7 +152,7 @@ class Inputs:
         return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
 
 
-def read_frames(part: Recording) -> NDArray[Any]:
+def read_frames(part: Recording) -> Array:
     """Return the frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
     try:
         return part.mapped()

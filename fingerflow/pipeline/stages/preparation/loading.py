@@ -62,7 +62,7 @@ class LoadingStage(Stage):
                 )
         forces = to_newtons(forces, settings, names)
         values = forces.resample(inputs.times)
-        self.warnings.extend(forces.warnings)
+        self.warnings += forces.warnings
         self._check(settings.file, forces, names["normal_force"], values["normal_force"])
         for name, column in names.items():
             unknown = int(np.isnan(forces.channels[name]).sum())
@@ -71,7 +71,7 @@ class LoadingStage(Stage):
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
                     f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
-        self.warnings.extend(plausibility.check_force(values["normal_force"]))
+        self.warnings += plausibility.check_force(values["normal_force"])
         if travel:
             self.series["actuator_position"] = 1e3 * values["actuator_position"]
         normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]

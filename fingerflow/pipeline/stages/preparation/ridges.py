@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+Mask = NDArray[np.bool_]
+
 _SIDE_PX = 256  # longest side of the analysed patch of skin: a ridge then has some 10 px
 _MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are due to light and pressure
 _SHORTEST_PX, _LONGEST_PX = 4.0, 40.0  # ridge periods that can be found in a patch
@@ -26,12 +28,12 @@ class SkinPatch(NamedTuple):
     """
 
     ridges: Picture
-    inside: NDArray[np.bool_]
+    inside: Mask
     box: tuple[slice, slice]
     scale: float
 
 
-def skin_patch(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> SkinPatch | None:
+def skin_patch(contact: NDArray[np.number], light: NDArray[np.floating], inside: Mask) -> SkinPatch | None:
     """Return the patch of skin within the mask `inside` (h, w) of a contact view; None if the patch is too small.
 
     Single pixels, hot or dead, are removed by a median.
@@ -114,7 +116,7 @@ def _reduced(picture: Picture, scale: float) -> Picture:
     return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
+def _flat(picture: Picture, inside: Mask) -> Picture:
     """Return an image minus its local mean within the mask `inside`, so that nothing coarser than skin ridges remains;
     0 outside the mask.
     """

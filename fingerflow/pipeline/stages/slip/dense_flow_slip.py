@@ -16,6 +16,8 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
 
+Array = NDArray[Any]
+
 # Median length of a vector whose two components have a standard deviation of 1.
 _MEDIAN_LENGTH = math.sqrt(2 * math.log(2))
 # Least difference of flow and points that gives a warning, in their standard deviations; smoothing, which these do not
@@ -104,7 +106,7 @@ class DenseFlowSlipStage(SlipStage):
         self._flow = SkinFlow(image, mask, quarter / self.inputs.geometry.topography_mm_per_px)
         return flow_response(self._flow.template, image, mask, self.inputs.geometry.topography_mm_per_px)
 
-    def _topography(self, frames: NDArray[Any] | None) -> Tensor:
+    def _topography(self, frames: Array | None) -> Tensor:
         view = self.inputs.scene.views.topography
         assert view is not None
         assert frames is not None
@@ -153,16 +155,16 @@ class DenseFlowSlipStage(SlipStage):
         if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself
             self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
 
-    def _motion(self, frames: Any) -> NDArray[Any]:
+    def _motion(self, frames: Any) -> Array:
         return self.results["skin_displacement"][frames]
 
-    def _measured(self, frames: Any) -> NDArray[Any]:
+    def _measured(self, frames: Any) -> Array:
         return self._motion(frames)
 
-    def _point_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+    def _point_displacement(self, motion: Array, grid: SlipGrid) -> NDArray[np.float64]:
         return np.asarray(grid.sample_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
 
-    def _cell_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
+    def _cell_displacement(self, motion: Array, grid: SlipGrid) -> Field:
         """Return the dense-flow displacement (rows, columns, 2) mm at the contact cells of one frame, with gaps filled.
 
         Cells that are not known by points (`SlipGrid.known`) are 0; all are NaN where no cell is known.
@@ -175,7 +177,7 @@ class DenseFlowSlipStage(SlipStage):
         filled[~grid.known] = 0
         return filled
 
-    def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+    def _seen(self, motion: Array, grid: SlipGrid) -> NDArray[np.float64]:
         positions = grid.centers + motion
         return positions[np.isfinite(positions).all(-1)]
 

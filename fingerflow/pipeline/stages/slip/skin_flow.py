@@ -210,14 +210,9 @@ def flow_response(template: FlowTemplate, image: Tensor, mask: Mask, mm_per_px: 
 
 
 def _blur(
-    template: FlowTemplate,
-    image: Tensor,
-    length: Field,
-    mask: NDArray[np.bool_],
-    beyond: Field,
-    distances: NDArray[np.float64],
-    axis: int,
-) -> NDArray[np.float64]:
+    template: FlowTemplate, image: Tensor, length: Field, mask: NDArray[np.bool_], beyond: Field,
+    distances: NDArray[np.float64], axis: int,
+) -> NDArray[np.float64]:  # fmt: skip
     """Return the mean error (K,) px of dense flow at `distances` (K,) px beyond a border, measured on the image after
     shifting each pixel along `axis` by a known `length` (H, W) px.
 

@@ -26,7 +26,11 @@ from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
+from fingerflow.tracker.area_steps import cut_shares
 from fingerflow.tracker.vibration import FRAMES_READ
+
+Series = NDArray[np.float64]
+Array = NDArray[Any]
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
@@ -140,7 +144,7 @@ class SlipStage(Stage):
             region = regions[k] > 0
             if not region.any() or not np.isfinite(self._area[frame]):
                 continue
-            self._edge[frame] = self._is_cut(region)
+            self._edge[frame] = cut_shares(region[None], self._area[[frame]])[0] > 0
             self._deviation[frame] = self._noise_level(frame)
             seen = self._seen(motion[k], self._grid)
             if len(seen):
@@ -155,11 +159,11 @@ class SlipStage(Stage):
         """
         return partial(blurred_ramp, half_window=self._reach)
 
-    def _motion(self, frames: Any) -> NDArray[Any]:
+    def _motion(self, frames: Any) -> Array:
         """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""
         return self.results["position"][frames][:, self._known] - self._first[self._known]
 
-    def _measured(self, frames: Any) -> NDArray[Any]:
+    def _measured(self, frames: Any) -> Array:
         """Return the displacement (n, N, 2) mm since the first frame that the windows of N points show near a slip
         border: its mean over each window.
 
@@ -170,21 +174,21 @@ class SlipStage(Stage):
         now, first = (corrections[part][:, self._known] @ self._of_px.T for part in (frames, slice(0, 1)))
         return self._motion(frames) + now - first
 
-    def _points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
+    def _points_and_cells(self, motion: Array, grid: SlipGrid) -> tuple[Series, Field]:
         """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
         contact cells.
         """
         return self._point_displacement(motion, grid), self._cell_displacement(motion, grid)
 
-    def _point_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+    def _point_displacement(self, motion: Array, grid: SlipGrid) -> Series:
         """Return the displacement (N, 2) mm, in one frame, of the skin at the first-frame positions of the points."""
         return motion
 
-    def _cell_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
+    def _cell_displacement(self, motion: Array, grid: SlipGrid) -> Field:
         """Return the displacement (rows, columns, 2) mm of the skin at the grid cells of the contact in one frame."""
         return grid.displacement(motion)
 
-    def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+    def _seen(self, motion: Array, grid: SlipGrid) -> Series:
         """Return the positions (K, 2) mm, in one frame, of all points whose displacement `motion` is known."""
         positions = grid.points + motion
         return positions[np.isfinite(positions).all(-1)]
@@ -194,16 +198,6 @@ class SlipStage(Stage):
         in one frame.
         """
         return float(nanmedian(self.results["position_noise_px"][slice(frame, frame + 1)])[0])
-
-    def _is_cut(self, region: NDArray[np.bool_]) -> bool:
-        """Return whether the edge of the view cuts off a contact region, so that part of the contact is invisible.
-
-        The contact border is known to half of the ridge distance, so the region of a contact that is cut may end by as
-        much before the edge.
-        """
-        contact = self.inputs.scene.contact
-        inner = max(1, math.ceil(contact.gross_radius_px / self.trial.stage(ContactStage).cell_px))
-        return bool(region.sum() > region[inner:-inner, inner:-inner].sum())
 
     def finish(self) -> None:
         settings, border = self._settings, self._border
@@ -281,9 +275,7 @@ class SlipStage(Stage):
                 self._growth[:, frame] = grid.growth((regions[frame - 1 - start], region), earlier, later, self._pull)
         self.results["stuck_region"][slice(first, end)] = stuck
 
-    def _look_at_slip(
-        self, frame: int, start: int, motion: NDArray[Any], moved: NDArray[np.float64], slips: Mask, grid: SlipGrid
-    ) -> None:
+    def _look_at_slip(self, frame: int, start: int, motion: Array, moved: Series, slips: Mask, grid: SlipGrid) -> None:
         """Store the direction, rad, of the mean displacement and the mean speed, mm/s, of slipping skin in a frame,
         from the points that the mask `slips` marks; `motion` is that of the frames from `start` on.
         """
@@ -299,9 +291,7 @@ class SlipStage(Stage):
                 seconds = self.inputs.times[after] - self.inputs.times[before]
                 self.series["slip_speed"][frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
-    def _judged(
-        self, ratio: NDArray[np.float64], forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]
-    ) -> partial_slip.TrialVerdict:
+    def _judged(self, ratio: Series, forces: Series | None, deviation: Series) -> partial_slip.TrialVerdict:
         start = "in the first frame, from which displacement counts: set [recording] first_frame"
         cut = "the contact reaches the edge of the view in the first frame: its area is not known; make [views] wider"
         reasons = {
@@ -350,7 +340,7 @@ class SlipStage(Stage):
             )
 
 
-def _settled(motion: NDArray[Any]) -> NDArray[Any]:
+def _settled(motion: Array) -> Array:
     """Return the median (N, 2) of displacements (n, N, 2) over the frames around a frame.
 
     A frame is used only together with its mirror frame: where one side is lost, the other alone would give a lag.

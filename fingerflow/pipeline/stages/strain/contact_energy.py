@@ -22,6 +22,8 @@ from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
 
+Mask = NDArray[np.bool_]
+
 Array = NDArray[np.float64]
 
 # Half of the standard deviation of the mean radius of a border from `steady_border`, measured on presses: where a
@@ -54,7 +56,7 @@ class FrameEnergies(NamedTuple):
 
     energy: Array
     deviation: Array
-    moves: NDArray[np.bool_]
+    moves: Mask
     trust: Array
 
 
@@ -84,7 +86,7 @@ class ContactEnergy:
         self._shared = csr_array((np.tile(correlation[inside], 2), both), shape=(points, points))
 
     def estimate(
-        self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: NDArray[np.bool_],
+        self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: Mask,
         border: FrameEllipse, since_growth: Callable[[NDArray[np.intp]], Array],
     ) -> FrameEnergies:  # fmt: skip
         """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where no point
@@ -228,7 +230,7 @@ class _Points(NamedTuple):
 
     @classmethod
     def gather(
-        cls, position: Array, displacement: Array, variance: Array, counts: NDArray[np.bool_], border: FrameEllipse
+        cls, position: Array, displacement: Array, variance: Array, counts: Mask, border: FrameEllipse
     ) -> "_Points":
         """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
         `ContactEnergy.estimate`.
@@ -250,7 +252,7 @@ class _Points(NamedTuple):
         return self.along / self.axes[..., None], self.moved, self.weight
 
 
-def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tuple[Array, Mask]:
     """Return how far (n,) mm skin at the border may have moved since the border passed, RMS of a component, 0 where the
     border advances, and a mask (n,) of frames in which this cannot be told, as it advanced in the last frame.
 

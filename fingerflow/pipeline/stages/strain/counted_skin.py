@@ -12,6 +12,8 @@ from fingerflow.results.store import Store, Values
 from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.entry import LEAST_AREA
 
+Mask = NDArray[np.bool_]
+
 Points = NDArray[np.float64]
 
 # Deviation of a place of onset, relative to the root of twice a triangle's area, from which it distorts the triangle.
@@ -81,7 +83,7 @@ class CountedSkin:
         shape = np.stack((1 + along, across, across, 1 - along), axis=1).reshape(-1, 2, 2)
         self.shape = np.concatenate([shape, shape[self._points]])
 
-    def _advected(self, points: NDArray[np.bool_]) -> NDArray[np.int32]:
+    def _advected(self, points: Mask) -> NDArray[np.int32]:
         """Return the triangles (M, 3) of touching `points` (N,) with a corner that was advected into the contact."""
         stage = self._stage
         if not len(stage.entered):
@@ -93,7 +95,7 @@ class CountedSkin:
 
     def _distorted_by_onsets(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
-    ) -> NDArray[np.bool_]:
+    ) -> Mask:
         """Return the mask (M,) of triangles whose reference shape is distorted because each corner counts from its own
         onset of contact, so that the corners never formed this shape in one frame.
 
@@ -137,7 +139,7 @@ class CountedSkin:
         )
 
 
-def _skins(status: Values, seeded: NDArray[np.intp]) -> list[tuple[NDArray[np.bool_], int]]:
+def _skins(status: Values, seeded: NDArray[np.intp]) -> list[tuple[Mask, int]]:
     """Return the masks (N,) of the points of each skin that was tracked forward by itself, and the frame from which the
     next takes its place, from the track `status` (F, N) and the frames (N,) in which points were `seeded`.
 
@@ -145,7 +147,7 @@ def _skins(status: Values, seeded: NDArray[np.intp]) -> list[tuple[NDArray[np.bo
     lost then would form triangles with the new ones, whose strain is unknown. Those still tracked belong to both.
     """
     first, *later = np.unique(seeded).tolist()
-    result: list[tuple[NDArray[np.bool_], int]] = []
+    result: list[tuple[Mask, int]] = []
     present = seeded == first
     for frame in later:
         earlier = seeded < frame

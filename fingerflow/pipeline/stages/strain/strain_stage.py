@@ -27,6 +27,11 @@ from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
+Values = NDArray[np.floating]
+
+Series = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
 # RMS over four presses of synthetic skin at half to twice the usual deformation.
 _INSIDE = 0.3
@@ -41,7 +46,7 @@ _TAKEN = 0.33
 _KEPT = 0.5
 _ENERGIES = "strain_energy", "strain_energy_std", "strain_energy_between_points", "strain_energy_between_points_std"
 
-Array = NDArray[np.floating]
+Array = Values
 
 
 class StrainStage(Stage):
@@ -75,7 +80,7 @@ class StrainStage(Stage):
         self._misfit = np.zeros(len(trial), bool)
 
     def begin(self) -> None:
-        self.warnings.extend(plausibility.check_young_modulus(self._settings.young_modulus_mpa))
+        self.warnings += plausibility.check_young_modulus(self._settings.young_modulus_mpa)
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
@@ -140,15 +145,13 @@ class StrainStage(Stage):
             deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, corrected.energy, touching))
         self._sum_up(batch, touching, corrected.density.cpu().numpy(), corrected.energy.cpu().numpy(), deviation)
 
-    def _triangle_strain(
-        self, moved: torch.Tensor, covariance: NDArray[np.floating], touching: NDArray[np.bool_]
-    ) -> TriangleStrain:
+    def _triangle_strain(self, moved: torch.Tensor, covariance: Values, touching: Mask) -> TriangleStrain:
         contact = torch.from_numpy(touching).to(self.inputs.device)
         given = self._reference, self._corners, moved, self.inputs.tensor(covariance), contact, self._shared
         young, poisson = self._elastic
         return triangle_strain(*given, measure=self._settings.strain, young_modulus_mpa=young, poisson_ratio=poisson)
 
-    def _lost_by_smoothing(self, moved: Array, energy: torch.Tensor, touching: NDArray[np.bool_]) -> NDArray[Any]:
+    def _lost_by_smoothing(self, moved: Array, energy: torch.Tensor, touching: Mask) -> NDArray[Any]:
         """Return by how much smoothing has lowered the strain energies `energy` (n,) of n frames, free of that of image
         noise, if it took as large a share as smoothing the displacements `moved` (n, P, 2) mm over `_SMOOTHED` windows
         takes of what is left, two thirds at most.
@@ -165,8 +168,8 @@ class StrainStage(Stage):
         return lost.cpu().numpy()
 
     def _sum_up(
-        self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
-        between_std: NDArray[np.float64],
+        self, batch: Batch, touching: Mask, density: Values, between: Series,
+        between_std: Series,
     ) -> None:  # fmt: skip
         """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
         triangles between points, and that of all skin in contact.
@@ -197,7 +200,7 @@ class StrainStage(Stage):
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
 
-        def since_growth(rows: NDArray[np.intp]) -> NDArray[np.float64]:
+        def since_growth(rows: NDArray[np.intp]) -> Series:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
             then = np.concatenate([steady(run) for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
             return position[rows] - then[number]
@@ -216,9 +219,7 @@ class StrainStage(Stage):
         share = np.where(lacking < 0, 1.0, _INSIDE)
         self._between_std[frames[fitted]] = np.hypot(deviation[fitted], share * lacking)
 
-    def _onset_field(
-        self, moved: Displacement, frames: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
+    def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, Values, Mask]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
         arguments for `ContactEnergy.estimate`.
 
@@ -231,9 +232,7 @@ class StrainStage(Stage):
         variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
         return moved.displacement, variance, counts
 
-    def _rim_area(
-        self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: FrameEllipse
-    ) -> NDArray[np.float64]:
+    def _rim_area(self, position: Series, touching: Mask, border: FrameEllipse) -> Series:
         """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
         # By components: gathering pairs of numbers takes twice as long.
         first, second, third = (position.transpose(2, 0, 1).take(corner, axis=2) for corner in self._skin.triangles.T)
@@ -269,7 +268,7 @@ class StrainStage(Stage):
         if {"strain_rate", "strain_rate_std"} & self.trial.requested:
             self._put_strain_rate()
 
-    def _rate(self, series: NDArray[np.float64], of_std: bool = False) -> NDArray[np.float64]:
+    def _rate(self, series: Series, of_std: bool = False) -> Series:
         return rate(series, self.inputs.times, self._settings.rate_window_s, of_std)
 
     def _put_strain_rate(self) -> None:
@@ -285,9 +284,7 @@ class StrainStage(Stage):
             self.results.put(name, rates[name])
 
 
-def border_density(
-    density: Array, areas: Array, positions: Array, border: FrameEllipse, reach_mm: float
-) -> NDArray[np.float64]:
+def border_density(density: Array, areas: Array, positions: Array, border: FrameEllipse, reach_mm: float) -> Series:
     """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
     the contact border, weighted by area.
 
@@ -308,7 +305,7 @@ def border_density(
         return total / weight
 
 
-def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:
+def _growth(radius: Series) -> NDArray[np.intp]:
     """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
     within `GROWTH_MM` of its value there, or larger.
     """

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+Values = NDArray[np.floating]
+
 _STEP = 2  # cells between sampled positions
 _AHEAD = 2.0  # prediction time in intervals between calls: until the next call but one
 LEFT = 0.1  # share of tracked points below which their skin counts as gone
 _STRIDE = 0.25  # windows, distance between samples upstream of the contact
-Points = NDArray[np.floating]
+Points = Values
 Mask = NDArray[np.bool_]
 
 
@@ -35,7 +37,7 @@ class NewSkin:
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
         self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 
-    def begin(self, contact: NDArray[np.floating], positions: Points) -> None:
+    def begin(self, contact: Values, positions: Points) -> None:
         """Store the `positions` (N, 2), px of the topographic view, at which the first points were seeded, as
         those before the first call of `region`.
 
@@ -46,7 +48,7 @@ class NewSkin:
             self._before = self._on_contact(positions), self._middle(touching)
 
     def region(
-        self, contact: NDArray[np.floating], pixels: Points, moved: Points, tracked: Mask, seeding: NDArray[np.integer]
+        self, contact: Values, pixels: Points, moved: Points, tracked: Mask, seeding: NDArray[np.integer]
     ) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 

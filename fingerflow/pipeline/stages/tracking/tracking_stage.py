@@ -29,6 +29,9 @@ from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import MOST_FRAMES, Points, join
 
+Values = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
 _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
 _IMPULSE, _BEYOND_NOISE = 0.2, 8.0
@@ -102,10 +105,10 @@ class TrackingStage(Stage):
         if self._view == self.inputs.scene.views.contact:
             return
         frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
-        self.warnings.extend(plausibility.check_clipped("topography", frame))
+        self.warnings += plausibility.check_clipped("topography", frame)
         if contact.skin is not None:
             compared = ridges.compare_views(contact.skin, frame, self._to_contact)
-            self.warnings.extend(plausibility.check_views(*compared, self.inputs.mm_per_px))
+            self.warnings += plausibility.check_views(*compared, self.inputs.mm_per_px)
 
     def step(self, batch: Batch) -> Any:
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
@@ -124,7 +127,7 @@ class TrackingStage(Stage):
                 for points in self._seeded:
                     points.pass_over(len(indices))
 
-    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> None:
+    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: Values) -> None:
         groups: list[TrackedPoints] = []
         curved: list[NDArray[np.float32]] = []
         motion = _motion(self._seeded) if self._seeded else None
@@ -169,12 +172,12 @@ class TrackingStage(Stage):
 
     def finish(self) -> None:
         shares = self.series["tracked_share"], self.series["window_differs_share"], self._held
-        self.warnings.extend(plausibility.check_tracking(*shares, self.first_frame))
+        self.warnings += plausibility.check_tracking(*shares, self.first_frame)
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
 
-    def _anisotropy(self) -> NDArray[np.floating]:
+    def _anisotropy(self) -> Values:
         """Return xx - yy and 2 xy (N, 2) of the covariances of the positions on the glass, divided by xx + yy."""
         spread, onto = np.concatenate([points.spread for points in self._seeded]), self._matrix[:, :2]
         (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
@@ -188,7 +191,7 @@ class TrackingStage(Stage):
         for frame in np.flatnonzero(~self.usable):
             self.results["status"][[frame]] = TrackStatus.FRAME_NOT_USABLE
 
-    def _seed(self, images: Images, margin: NDArray[np.floating]) -> TrackedPoints:
+    def _seed(self, images: Images, margin: Values) -> TrackedPoints:
         """Seed the first points in the first of the n images, which is that of the first usable frame, and return their
         tracking results (n, N); `margin` is a grid of cells, positive in the gross contact of that frame.
         """
@@ -206,9 +209,9 @@ class TrackingStage(Stage):
                 f"its region, [stream] region, the calibration and the focus."
             )
         min_distance = self._settings.min_distance_px
-        self.warnings.extend(plausibility.check_points(len(points), requested, min_distance, int(where.sum())))
-        self.warnings.extend(plausibility.check_seeded_region(self._outside(where, margin)))
-        self.warnings.extend(plausibility.check_impulses(self._impulses(image)))
+        self.warnings += plausibility.check_points(len(points), requested, min_distance, int(where.sum()))
+        self.warnings += plausibility.check_seeded_region(self._outside(where, margin))
+        self.warnings += plausibility.check_impulses(self._impulses(image))
         self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
@@ -239,12 +242,12 @@ class TrackingStage(Stage):
         rest = [new.follow(images[1:], others and select(others, slice(1, None), near))] if len(images) > 1 else []
         return join([new.as_seeded, *rest], 0)
 
-    def _detect(self, image: Images, where: NDArray[np.bool_], count: int) -> NDArray[np.floating]:
+    def _detect(self, image: Images, where: Mask, count: int) -> Values:
         picture = image if self._settings.points_from == "recorded" else self._enhanced(image)
         return self._engine.detect(picture, where, count)
 
     def _seed_new(
-        self, images: Images, margin: NDArray[np.floating], tracked_points: TrackedPoints, motion: PointMotion | None
+        self, images: Images, margin: Values, tracked_points: TrackedPoints, motion: PointMotion | None
     ) -> TrackedPoints | None:
         """Seed points in skin that has none yet, and return their tracking results (n or 1, K); None without such skin.
 
@@ -317,7 +320,7 @@ class TrackingStage(Stage):
         enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
-    def _seeding_region(self, margin: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def _seeding_region(self, margin: Values) -> Mask:
         """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
@@ -339,15 +342,15 @@ class TrackingStage(Stage):
             self._region = contact.touched()
         return self._on_topography(self._region)
 
-    def _on_topography(self, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _on_topography(self, region: Mask) -> Mask:
         return on_topography(region, self._to_contact, self._view.shape)
 
-    def _touching(self, margin: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def _touching(self, margin: Values) -> Mask:
         """Return the mask (h, w) of the topographic view of the cells that are positive in `margin`."""
         (rows, columns), cell = self._region.shape, self._engine.cell_px
         return self._on_topography((margin > 0).repeat(cell, 0).repeat(cell, 1)[:rows, :columns])
 
-    def _outside(self, seeded: NDArray[np.bool_], margin: NDArray[np.floating]) -> float:
+    def _outside(self, seeded: Mask, margin: Values) -> float:
         """Return the share of the contact further than two windows from the region `seeded` (h, w): of the contact in
         the first frame, by the cells `margin` that are positive there, or of the largest if there is none yet.
         """
@@ -362,7 +365,7 @@ def _motion(groups: Sequence[Points]) -> PointMotion:
     return PointMotion(*map(np.concatenate, zip(*(group.motion for group in groups), strict=True)))
 
 
-def _shifted(mask: NDArray[np.bool_], way: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _shifted(mask: Mask, way: Values) -> Mask:
     """Return a mask (h, w) shifted by (x, y) px."""
     matrix = np.column_stack((np.eye(2), way))
     return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1], flags=cv2.INTER_NEAREST) > 0
