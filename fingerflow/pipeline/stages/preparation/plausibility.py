@@ -193,7 +193,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
     light = measured & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
     unloaded = np.where(light, area, 0.0)
-    frame = int(np.argmax(unloaded))
+    frame = np.argmax(unloaded)
     if peak >= 10 * noise and unloaded[frame] > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
         yield (
             f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the "
