@@ -168,7 +168,7 @@ def test_a_doubtful_force_is_said(processed: Any, press: Path) -> None:
     assert "'fz' is never below 1.99 N; if the finger was off the glass" in offset
     untold = warnings_of(processed(samples, heading, NAMED, **{"trigger_frame = 1": ""}))
     assert "nothing says in which frame it came: frame 0 is taken; give [recording] trigger_frame" in untold
-    assert "force is never above 0.05 N: check" in warnings_of(processed(samples * (1, 1e-3, 1, 1), heading, NAMED))
+    weak = processed(samples * (1, 1e-3, 1, 1), heading, NAMED)
+    assert "never above 0.05 N: check frame rate" in warnings_of(weak)
     short = processed(samples[: len(samples) // 2], heading, NAMED)
-    assert np.isnan(short["normal_force"].values[-1])
     assert "forces do not cover" in warnings_of(short)

@@ -73,11 +73,13 @@ def test_one_frame_has_areas_and_no_rates(changed: Change, frames: Array) -> Non
     result = process(changed({"trigger_frame = 1 ": ""}, frames=frames[5:6], forces=False))
     assert result["gross_contact_area"].values[0] == pytest.approx(3.45, rel=0.05)
     touched = result["onset_frame"].values == 0
-    assert touched.sum() > 10
+    assert touched.any()
     assert (result["displacement"].values[0, touched] == 0).all()
     for name in ("median_divergence_rate", "median_strain_rate", "strain_energy_rate"):
         assert np.isnan(result[name].values).all(), name
     assert "one frame: nothing has moved" in warnings_of(result)
+    slow = process(changed({"rate_window_s = 0.05": "rate_window_s = 9.0 "}), ["median_divergence_rate"])
+    assert "rate_window_s = 9 lasts longer than the medians are known" in warnings_of(slow)
 
 
 def test_an_empty_glass_has_no_area_and_no_point(changed: Change, glass: Array, tmp_path: Path) -> None:

@@ -244,6 +244,8 @@ class DeformationStage(Stage):
         median_std = np.sqrt(self._variance + self._bias())
         times, window = self.inputs.times, self._settings.rate_window_s
         rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
+        if np.isnan(rates).all() > np.isnan(self._median).all():
+            self.warnings.append(f"fields.rate_window_s = {window:g} lasts longer than the medians are known: no rates")
         for columns, names in (
             (0, ("median_divergence", "median_divergence_std", "median_divergence_rate", "median_divergence_rate_std")),
             (1, ("median_curl", "median_curl_std")),
@@ -253,9 +255,8 @@ class DeformationStage(Stage):
             for name, values in zip(names, (self._median, median_std, rates, rates_std), strict=False):
                 self.series[name] = values[:, columns]
         self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
-        gross, known = self.results["gross_contact_area"][:], self.series["field_coverage"]
-        of_frames = self._median[:, 0], known, gross, self._settings.gauge_length_mm
-        self.warnings += plausibility.check_fields(*of_frames, self.first_frame)
+        of_frames = self._median[:, 0], self.series["field_coverage"], self.results["gross_contact_area"][:]
+        self.warnings.extend(plausibility.check_fields(*of_frames, self._settings.gauge_length_mm, self.first_frame))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

@@ -53,7 +53,7 @@ class LoadingStage(Stage):
                 f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
                 "channel of the camera's trigger, or leave trigger out where both clocks begin together"
             )
-        if settings.trigger is not None and settings.trigger_level is not None:
+        if settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
             if inputs.scene.recording.trigger_frame is None and not inputs.recording.has_trigger:
                 self.warnings.append(

@@ -141,7 +141,7 @@ def check_force(normal: Series) -> Iterator[str]:
     """Yield a warning if a normal force (frames,) N exceeds what a finger can exert, or is none."""
     peak = np.fmax.reduce(normal)
     if peak <= LEAST_NORMAL:
-        yield f"the normal force is never above {LEAST_NORMAL} N: check forces.normal, its gain and the amplifier"
+        yield f"the normal force in the frames is never above {LEAST_NORMAL} N: check frame rate, trigger and column"
     if peak > _MOST_FORCE:
         yield (
             f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in "
@@ -154,8 +154,8 @@ def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
     touching = np.isfinite(normal) & (gross > 0)
     if not touching.any():
         return
-    frame = int(np.argmax(np.where(touching, normal, -np.inf)))
-    force, area, (least, most) = float(normal[frame]), float(gross[frame]), _PRESSURE_KPA
+    frame = np.argmax(np.where(touching, normal, -np.inf))
+    force, area, (least, most) = normal[frame], gross[frame], _PRESSURE_KPA
     pressure = 1000 * force / area
     if not least <= pressure <= most:
         yield (
@@ -175,7 +175,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     if not measured.any() or not (gross[measured] > 0).any():
         return
     force, area = np.where(measured, normal, 0.0), np.where(measured, gross, 0.0)
-    peak, largest = float(force.max()), float(area.max())
+    peak, largest = force.max(), area.max()
     nothing = measured & (area == 0)
     least, share = _FORCE_OF_NOTHING
     pressing = nothing & (np.abs(force) > max(least, share * peak))
@@ -184,7 +184,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
         "and forces.trigger_level, recording.frame_rate, and forces.offset or tare"
     )
     if pressing.any():
-        frame = int(np.argmax(np.where(pressing, np.abs(force), 0)))
+        frame = np.argmax(np.where(pressing, np.abs(force), 0))
         yield (
             f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
             f"{int(pressing.sum())} frames): {cause}"
@@ -193,7 +193,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
     light = measured & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
     unloaded = np.where(light, area, 0.0)
-    frame = int(np.argmax(unloaded))
+    frame = np.argmax(unloaded)
     if peak >= 10 * noise and unloaded[frame] > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
         yield (
             f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the "

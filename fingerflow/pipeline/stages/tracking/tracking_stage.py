@@ -97,10 +97,8 @@ class TrackingStage(Stage):
         window = self._settings.window_px
         self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
         if not self._region.any():
-            self.warnings.append(
-                f"no contact at {contact.moment}: there are no points and no deformation. Check frame rate and "
-                f"trigger, then the views"
-            )
+            causes = "contact.threshold, frame rate and trigger, then the views"
+            self.warnings.append(f"no contact at {contact.moment}: there are no points. Check {causes}")
             self._create(0)
         if self._view == self.inputs.scene.views.contact:
             return
@@ -206,7 +204,7 @@ class TrackingStage(Stage):
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
                 f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
-                f"its region, [stream] region, the calibration and the focus."
+                f"its region, [stream] region, tracking.min_distance_px, the calibration and the focus."
             )
         min_distance = self._settings.min_distance_px
         self.warnings += plausibility.check_points(len(points), requested, min_distance, int(where.sum()))
