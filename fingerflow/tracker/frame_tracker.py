@@ -9,7 +9,8 @@ step      changes due        reads   `_change`, `_search`
   │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
   │       frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
   │       (`FrameCheck`)             `_returned`: which of the last 16 jumped away; `_keys`: hashes of the last 512
-  │                          writes  the same, and `_same`: which of the last 16 repeat an earlier frame
+  │                          writes  the same, `_same`: which of the last 16 repeat an earlier frame, and
+  │                                  `stale_views`: hashes of the frame before
   │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
   │       usable: tracking   reads   `_latest`, motion and templates of the key frame (`Points`), templates that are
   │       (`Points.follow`)          prepared (`Points._pending`)
