@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import xarray as xr
 
@@ -46,6 +47,16 @@ TRIALS: dict[str, Press | Slide] = {
     "press": Press(**_SHAPE, rise_time=0.2, finger=(2.9, 2.4)),
     "slide": Slide(**_SHAPE, finger=(2.9, 2.4)),
 }
+
+
+def turned(frames: Frame, degrees: float) -> Frame:
+    """Return frames (F, H, W) of a camera that turns to and fro, by `degrees` at most."""
+    result = np.empty_like(frames)
+    for k, frame in enumerate(frames):
+        rows, columns = frame.shape
+        matrix = cv2.getRotationMatrix2D((columns / 2, rows / 2), degrees * np.sin(k * np.pi / 3), 1)
+        cv2.warpAffine(frame, matrix, (columns, rows), result[k], cv2.INTER_CUBIC, cv2.BORDER_REPLICATE)
+    return result
 
 
 def write_small(folder: Path, trial: SyntheticScene) -> Path:

@@ -152,8 +152,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
         if stage in computed:
             for needed in (*stage.same_pass, *(earlier for earlier in stage.after if not earlier.restored)):
                 computed.setdefault(needed, f"{stage.name} needs what only it knows")
-    taken = frozenset(stage for stage in plan.stages if stage not in computed)
-    return Reused(earlier, path, taken, computed)
+    return Reused(earlier, path, frozenset(stage for stage in plan.stages if stage not in computed), computed)
 
 
 def _reason_to_compute(

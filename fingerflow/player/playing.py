@@ -73,8 +73,7 @@ def _open(bundle: str | Path, source: LiveSource, on_frame: OnFrame | None, opti
     arguments = [str(bundle)]
     for name, value in options.items():
         for item in value if isinstance(value, (list, tuple)) and name != "shape" else [value]:
-            words = item if name == "shape" else [item]
-            arguments += [f"--{name.replace('_', '-')}", *map(str, words)]
+            arguments += [f"--{name.replace('_', '-')}", *map(str, item if name == "shape" else [item])]
     parser = option_parser("play")
     parser.error = _refuse  # type: ignore[method-assign]
     parsed = parser.parse_args(arguments)

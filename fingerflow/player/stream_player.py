@@ -118,10 +118,11 @@ class Player:
         # Views of the fields, looked up only once.
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}
         self.frames_in = self.processed = self.dropped = self.overruns = self.reconnects = self.stalls = 0
+        self.tracked = 0
         self.latencies, self._recent = Latencies(), Latencies()
         self._busy: dict[str, float] = {}  # processor time of each thread that has ended, s
-        self.tracked = 0
-        self.rate, self.recent = math.nan, self.latencies.summary()
+        self.recent = self.latencies.summary()
+        self.rate = self._first = math.nan
         self._forces, self._values = forces, values
         # True if the source can wait for results, as a file played as fast as possible can.
         self._can_wait = settings.process_all and settings.rate is None and not source.live
@@ -141,7 +142,6 @@ class Player:
         self._waiting_since: float | None = None  # time since which the source has been waited for
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
-        self._first = math.nan
         self._last_trouble = ""
         self._logged = set[str]()  # faults that were logged
 
@@ -210,16 +210,17 @@ class Player:
             log.info("%s", few)
 
     def _log_faults(self) -> None:
-        """Log once that the rim of the contact is faint, that its area steps, and that the whole image vibrates. Slides
-        are left out of the last: skin in contact and skin beside it may tremble together there.
+        """Log once that the rim of the contact is faint, that a view is frozen, that the area steps, and that the whole
+        image vibrates. Slides are left out of the last: skin in contact and skin beside it may tremble together there.
         """
-        slides = self.scene.kind == "slip"
+        slides, mm_per_px = self.scene.kind == "slip", self._tracker.geometry.topography_mm_per_px
         view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2
         for fault, sentences in {
             "faint": self._tracker.check_faint_rim(),
             "cut": check_cut(*self._findings.cut),
+            "stale": self._tracker.check.stale_views.warnings(),
             "steps": self._findings.area_steps(view_mm2, slides),
-            "vibrates": () if slides else self._tracker.check_vibration(),
+            "vibrates": () if slides else self._tracker.results.entries.check_vibration(mm_per_px),
         }.items():
             for sentence in () if fault in self._logged else sentences:
                 self._logged.add(fault)
@@ -528,7 +529,7 @@ class Player:
                 self._sink.event("not_usable", slot.number, status=FRAME_STATUS[outcome.status])
                 log.warning("frame %d: %s, counts in no result", slot.number, FRAME_STATUS[outcome.status])
             self._layout.fill_unknown(fields, index)
-            fields["slip_flag"][index] = self._tracker.slipping
+            fields["slip_flag"][index] = self._tracker.results.slip.slipping
         else:
             self._layout.fill(fields, index, results, k)
             counted = [results[name][k] for name in ("real_contact_area", "gross_contact_area", "median_divergence")]

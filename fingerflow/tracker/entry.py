@@ -8,7 +8,7 @@ of such skin is its deformation since its own entry, all neighbours counted from
 position with respect to position in a common frame, F(t) F(entry)^-1 - I.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from fingerflow.kernels.arrays import inverse_2x2, is_finite, nanmedian, squared
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
-from fingerflow.tracker.vibration import vibration
+from fingerflow.tracker.vibration import Values, vibration
 
 Array = NDArray[Any]
 
@@ -35,17 +35,8 @@ _VALUES = 1 << 16  # positions read at a time, of 64 frames at least
 _EYE = np.eye(2)
 
 
-class FrameValues(Protocol):
-    """Interface of an array with frames along the first axis, in memory or in a file."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...
-
-    def __getitem__(self, frames: Any) -> Array: ...
-
-
 def advected(
-    position: FrameValues, positions: Array, onset: Array, reference: Array, gauge_mm: float, border: FrameEllipse
+    position: Values, positions: Array, onset: Array, reference: Array, gauge_mm: float, border: FrameEllipse
 ) -> Array:
     """Return a mask (N,) of the points that the motion of the skin carried over the border into the contact (advected);
     the other points were reached as the contact area grew over them.
@@ -82,7 +73,7 @@ def advected(
 
 
 def _entered_by_motion(
-    position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: FrameEllipse
+    position: Values, here: Array, onset: Array, reference: Array, gauge_mm: float, border: FrameEllipse
 ) -> Array:
     """Return a mask (E,) of the points that came into the contact mainly by their own motion over the glass: before
     their onset of contact they moved by more than half the distance by which point and border approached each other.
@@ -168,10 +159,8 @@ class EntryGradients:
         self._deviation = np.sqrt(onset_variance[entered])
         self.late = np.zeros((len(entered), 2, 2))
         valid = np.flatnonzero(np.isfinite(positions).all(1))
-        distance = np.full(len(valid), np.inf)
-        for centre in positions[entered]:
-            np.minimum(distance, np.hypot(*(positions[valid] - centre).T), out=distance)
-        self._near = valid[distance <= gauge_mm / 2]
+        distances = squared_distances(positions[valid], positions[entered])
+        self._near = valid[distances.min(1, initial=np.inf) <= (gauge_mm / 2) ** 2]
         self._seeded, self._queries = positions[self._near], positions[entered]
         self._begun = np.full((len(entered), 2, 2), np.nan)
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
@@ -301,12 +290,13 @@ class Entries:
                 earlier, _ = self._gradients((onset - EntryGradients.BEFORE) % self.KEPT, points)
                 self._change[points] = np.nan_to_num(self._at_entry[points] - earlier) / EntryGradients.BEFORE
 
-    def vibration_px(self, mm_per_px: float) -> float:
-        """Return the root mean square, px, of the vibration of the whole image in the kept frames; 0 without one."""
+    def check_vibration(self, mm_per_px: float) -> list[str]:
+        """Return a warning if the whole image vibrates in the kept frames; safe in any thread."""
         frames = self._frames
         order = np.arange(max(frames - self.KEPT + 8, 0), frames) % self.KEPT  # the oldest are written meanwhile
         kept = self._position[order], self._covered[order]
-        return vibration(*kept, np.arange(len(order)), mm_per_px)[1] if len(order) else 0.0
+        counted = "displacement and strain contain this motion"
+        return vibration(*kept, np.arange(len(order)), mm_per_px, counted)[1] if frames else []
 
     def learn_errors(self, faint_mm: float) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion

@@ -103,14 +103,12 @@ def squared_distances_before(samples: PixelSamples, before: PixelSamples | None)
     """
     sequence = samples if before is None else samples.after(before)
     count, earlier = len(samples.light), len(sequence.light) - len(samples.light)
-    result: Array | None = None
+    parts = []
     for gap in range(1, LONGEST + 2):
         first = max(gap - earlier, 0)  # index in `samples` of the first frame with a frame this far before it
         later = slice(earlier + first, earlier + count)
         before_later = slice(later.start - gap, max(later.stop - gap, 0))
         squares = squared_distances(sequence.rows(later), sequence.rows(before_later))
-        if result is None:
-            result = np.full((count, LONGEST + 1, squares.shape[1]), np.nan, np.float32)
-        result[first:, gap - 1] = squares[: max(count - first, 0)]
-    assert result is not None
-    return result
+        parts.append(np.full((count, squares.shape[1]), np.nan, np.float32))
+        parts[-1][first:] = squares[: max(count - first, 0)]
+    return np.stack(parts, axis=1)

@@ -9,7 +9,8 @@ step      changes due        reads   `_change`, `_search`
   │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
   │       frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
   │       (`FrameCheck`)             `_returned`: which of the last 16 jumped away; `_keys`: hashes of the last 512
-  │                          writes  the same, and `_same`: which of the last 16 repeat an earlier frame
+  │                          writes  the same, `_same`: which of the last 16 repeat an earlier frame, and
+  │                                  `stale_views`: hashes of the frame before
   │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
   │       usable: tracking   reads   `_latest`, motion and templates of the key frame (`Points`), templates that are
   │       (`Points.follow`)          prepared (`Points._pending`)
@@ -53,7 +54,6 @@ from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.points import STREAM, Points, join
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
-from fingerflow.tracker.vibration import vibration_warning
 
 Array = NDArray[Any]
 
@@ -200,7 +200,9 @@ class StreamTracker:
         glass, dark: (H, W) contact view of the empty glass, and without light.
 
     Attributes:
+        check: of the frames.
         geometry: of the views.
+        results: of frames, and their state.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measures: whether it is measured in frames.
         seeded: number of points seeded at the last restart.
@@ -213,8 +215,8 @@ class StreamTracker:
         self._glass, self._dark = glass, dark
         self.geometry = settings.geometry
         self._to_contact = self.geometry.topography_to_contact.astype(np.float32)
-        self._results = FrameResults(engine, self.geometry)
-        self._check = FrameCheck(glass, dark, settings.bit_depth)
+        self.results = FrameResults(engine, self.geometry)
+        self.check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
         self._search = ThresholdSearch(1 + _LEARNT_AFTER)
@@ -249,7 +251,7 @@ class StreamTracker:
 
     def inspect(self, frame: Frame) -> None:
         """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
-        frame.picture = self._check.inspect(frame.number, frame.views)
+        frame.picture = self.check.inspect(frame.number, frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
@@ -273,7 +275,7 @@ class StreamTracker:
         if self._points is None:  # no usable frame has arrived yet
             passed.append(self._outcome(work, frame.picture.status))
         else:
-            decided, status = self._check.update(frame.picture)
+            decided, status = self.check.update(frame.picture)
             self._deferred.append(work)
             passed += self._decided(decided if status is None else [*decided, status])
         while len(self._unlearnt) > len(self._held) and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
@@ -324,7 +326,7 @@ class StreamTracker:
         contact = join([each._replace(real_contact_mask=None) for each in contacts])
         try:
             pull = np.concatenate([outcome.pull for outcome in outcomes if outcome.pull is not None])
-            results = self._results.compute(seeding, contact, join(tracked), pull)
+            results = self.results.compute(seeding, contact, join(tracked), pull)
         except Exception:  # some frames may have been counted: what is measured from the onset is unknown from here on
             begun = seeding._replace(before=None)
             for outcome in outcomes:
@@ -337,16 +339,6 @@ class StreamTracker:
                 self._points.prepare_ahead()
         return results
 
-    @property
-    def slipping(self) -> bool:
-        """Return the slip flag after the last frame with results: whether skin in contact slips."""
-        return self._results.slip.slipping
-
-    def check_vibration(self) -> Iterator[str]:
-        """Yield a warning if the whole image vibrates in the last 512 frames with results. Safe in any thread."""
-        if size := self._results.entries.vibration_px(self.geometry.topography_mm_per_px):
-            yield vibration_warning(size, "displacement and strain contain this motion")
-
     def check_faint_rim(self) -> Iterator[str]:
         """Yield a warning if the largest contact so far is faint at its rim. A contact that has just begun gives none:
         it shows too few ridges. Safe in any thread.
@@ -354,13 +346,13 @@ class StreamTracker:
         if self._largest is not None:
             image, contact = self._largest
             whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
-            gross, lower = (float(self._results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
+            gross, lower = (float(self.results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
             rim = pale_rim_mm(gross, lower) if gross >= _LEAST_MM2 else 0.0
             yield from check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames that wait for later frames or for a threshold as the stream ends; return their outcomes."""
-        return self._decided(self._check.finish()) + self._release()
+        return self._decided(self.check.finish()) + self._release()
 
     def _measure_threshold(self, work: FrameOutcome) -> float:
         """Return the threshold measured in a frame, NaN for none; it is measured at the first call.
@@ -494,15 +486,14 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            touching = self._results.on_glass.sizes(self.contact(outcome)).gross[0] >= _LEAST_MM2
+            touching = self.results.on_glass.sizes(self.contact(outcome)).gross[0] >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
         measured = outcome.measured
         if outcome.points is not None:
-            area = float(self.contact(outcome).real_area_px[0])
-            if self._search.update(index, area, measured):
+            if self._search.update(index, float(self.contact(outcome).real_area_px[0]), measured):
                 return [Event("threshold", number, {"threshold": measured})]
         elif measured is not None:
             self._search.passed_over()
@@ -516,7 +507,7 @@ class StreamTracker:
         length apart: a contact that has just begun grows about its place.
         """
         contact = self.contact(work)
-        area = float(self._results.on_glass.sizes(contact).gross[0])
+        area = float(self.results.on_glass.sizes(contact).gross[0])
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
         points = int(np.add.reduce(covered & (tracked_points.status[0] == TRACKED)))

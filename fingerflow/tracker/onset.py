@@ -151,8 +151,7 @@ def interpolate_displacement(before: Array, moved: Array, points: Array, fewest:
         weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
         values, total = moved[known][nearest], weight.sum(1)
         displacement[new] = (weight * values).sum(1) / total
-        square = np.square(values - displacement[new, None])
-        variance[new] = ((weight * square).sum(1) / total).mean(1)
+        variance[new] = ((weight * np.square(values - displacement[new, None])).sum(1) / total).mean(1)
     return displacement, variance
 
 

@@ -211,8 +211,7 @@ class Points:
         """
         with self._preparing:
             for pending in self._pending[:1]:
-                calls = -(-len(pending.rows) // (ROWS * (MOST_FRAMES - 1)))
-                self._prepare_rows(pending, ROWS * calls)
+                self._prepare_rows(pending, ROWS * -(-len(pending.rows) // (ROWS * (MOST_FRAMES - 1))))
 
     def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
@@ -436,8 +435,5 @@ def _last_seen(points: Array, before: Array) -> Array:
     """
     positions = points.copy()
     for frame in positions:
-        gone = ~is_finite(frame)
-        if np.logical_or.reduce(gone):
-            frame[gone] = before[gone]
-        before = frame
+        before = frame[:] = np.where(is_finite(frame)[:, None], frame, before)
     return positions

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.schema.variables import DARK, JUMPS, REPEATED, SATURATED, USABLE
+from fingerflow.tracker import frame_copies
 from fingerflow.tracker.block_means import PictureCheck, block_means
-from fingerflow.tracker.frame_copies import REPEATED_SHARE, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
 from fingerflow.tracker.frame_jumps import NEARBY, Ordinary, excess, is_far, is_jump, ordinary_limit, ordinary_values
 
@@ -25,12 +25,12 @@ _LIT = 0.3  # share of the mean light: lines of the empty glass with less are no
 
 class Picture(NamedTuple):
     """Frame under comparison: its status as determined from the frame alone, sampled pixels of its views, the contact
-    view first, the hash by which exact copies are recognised (`frame_copies.frame_key`), and the number of the frame.
+    view first, the hashes by which exact copies are recognised (`frame_copies.frame_key`), and the number of the frame.
     """
 
     status: int
     samples: PixelSamples
-    key: bytes
+    key: frame_copies.FrameKey
     number: int
 
     def squared_distance(self, before: "Picture") -> Array:
@@ -46,8 +46,9 @@ class FrameCheck:
     - Dark or saturated: detected from the frame alone, with the limits of `process`.
     - Noise, lines or blocks in disorder (`block_means.is_noise`), in the contact view, however long it lasts.
     - Lost lines: lines of the contact view without light, in up to `LONGEST` frames in a row; then it is the camera's.
-    - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
-      compared, and only if no more than a fifth of the last frames repeat others.
+    - Repeated: a view repeats the picture before while the other changes, or the frame equals one of the last 512 that
+      count. The latter is detected once more than eight frames were compared, and only if no more than a fifth of the
+      last frames repeat others.
     - Jumps and returns: the rule of a recording (`frame_jumps.is_jump`). A frame far from the last usable one is
       deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then it counts, as the
       motion of the skin, or a change that stays, and those behind it are judged anew. After three returns in the last
@@ -58,6 +59,9 @@ class FrameCheck:
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light.
         bit_depth: of the frames.
+
+    Attributes:
+        stale_views: frames in which a view repeats its picture.
     """
 
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
@@ -69,7 +73,8 @@ class FrameCheck:
         self._deferred: list[Picture] = []
         self._steps: deque[Array] = deque(maxlen=_STEPS)
         self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames jumped and returned
-        self._keys: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._keys: deque[frame_copies.FrameKey] = deque(maxlen=_REMEMBERED)
+        self.stale_views = frame_copies.StaleViews()
         self._same: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames equalled an earlier one
 
     def inspect(self, number: int, views: Mapping[str, Array]) -> Picture:
@@ -83,7 +88,7 @@ class FrameCheck:
         status = int(self._alone.status(images[0], blocks[0])[0])
         if status not in (DARK, SATURATED) and np.logical_or.reduce(self._lit & (lines[0] < self._alone.least), None):
             status = JUMPS
-        return Picture(status, PixelSamples.sample(*images), frame_key(blocks), number)
+        return Picture(status, PixelSamples.sample(*images), frame_copies.frame_key(blocks), number)
 
     def update(self, picture: Picture) -> tuple[list[int], int | None]:
         """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
@@ -100,7 +105,7 @@ class FrameCheck:
         self._without_lines = self._without_lines + 1 if status == JUMPS else 0
         if self._without_lines > LONGEST:
             status = USABLE
-        if status == USABLE and self._repeats(picture.key):
+        if status == USABLE and (self.stale_views.update(picture.key) or self._repeats(picture.key)):
             status = REPEATED
         return self._judged(picture if status == picture.status else picture._replace(status=status))
 
@@ -148,10 +153,10 @@ class FrameCheck:
         """
         return [frame.status for frame in self._deferred] if len(self._steps) < NEARBY else self.settle()
 
-    def _repeats(self, key: bytes) -> bool:
+    def _repeats(self, key: frame_copies.FrameKey) -> bool:
         same = key in self._keys
         self._same.append(same)
-        return same and len(self._same) > _KNOWN and sum(self._same) <= REPEATED_SHARE * len(self._same)
+        return same and len(self._same) > _KNOWN and sum(self._same) <= frame_copies.REPEATED_SHARE * len(self._same)
 
     def _step_to(self, frame: Picture) -> Array | None:
         """Return the squared distance (rows,) of a frame from the last usable one; None if there is none."""
@@ -196,8 +201,7 @@ class FrameCheck:
         the latest one and the `ordinary_limit` of recent ones.
         """
         steps = np.array([*self._steps][-NEARBY:])
-        most = ordinary_limit(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
-        return np.maximum(most, steps[-1])
+        return np.maximum(ordinary_limit(steps, axis=0) if len(steps) == NEARBY else steps.max(0), steps[-1])
 
     def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)

@@ -1,4 +1,6 @@
-"""Vibration of the whole image, as of a camera or its mount, found by the motion that all points have in common."""
+"""Vibration of the whole image, as of a camera or its mount, found by the motion that all points have in common: shift,
+rotation and change of scale.
+"""
 
 from typing import Any
 
@@ -8,82 +10,101 @@ from numpy.typing import NDArray
 from fingerflow.kernels.arrays import nanmedian
 
 Values = Any  # array with frames along the first axis, in memory or in a file
+Complex = NDArray[np.complex128]  # of x + i y
 
 #: Number of frames of a result that are read at a time.
 FRAMES_READ = 64
 _WINDOW = 12  # frames, the period of which a smooth path has half
-_LEAST_FRAMES = 3 * _WINDOW
+_LEAST_FRAMES = 2 * _WINDOW
 _COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
 _FEWEST = 12  # least number of points in contact, and of points beside it, of whose steps the medians are compared
 # Least root mean square of a component, in px, in each quarter of the frames, largest share of it by which skin in
 # contact and beside it differ, and least share of the largest quarter in every quarter: a jerk of the finger has less.
 _LEAST_PX, _DIFFERS, _STEADY = 0.02, 0.5, 0.25
+_FROM_XY = np.array((1, 1j))
 
 
 def vibration(
-    position: Values, in_contact: Values, frames: NDArray[np.intp], mm_per_px: float
-) -> tuple[NDArray[np.float64], float]:
-    """Return the displacement (F, 2) mm of the image by vibration, and its root mean square, px; 0 in all frames if
-    there is none.
+    position: Values, in_contact: Values, frames: NDArray[np.intp], mm_per_px: float, counted: str
+) -> tuple[Complex, list[str]]:
+    """Return shift (mm) and turn (F, 2) of the image by vibration, and a warning if there is one: positions z = x + i y
+    are off by shift + turn z, where turn is the change of scale + i rotation (rad).
 
-    It is what a smooth path leaves of the median path of the points, if skin in contact and skin beside it have it in
-    common: glass holds the skin in contact, so that a finger that trembles moves the skin beside it alone. Next to
-    frames that do not count it is off by up to half.
+    Shift, rotation and change of scale are each what a smooth path leaves of that of the points, if skin in contact and
+    skin beside it have it in common: glass holds the skin in contact, so that a finger that trembles moves the skin
+    beside it alone. Next to frames that do not count it is off by up to half. Slower motion of a camera is not told
+    from that of a finger.
 
     Args:
         position: (F, N, 2) mm, NaN for points not tracked.
         in_contact: (F, N) bool.
         frames: numbers of the usable frames.
+        counted: says what contains the vibration.
     """
-    result, steps = np.zeros((position.shape[0], 2)), np.full((len(frames), 3, 2), np.nan)
+    result, steps = np.zeros((position.shape[0], 4)), np.full((len(frames), 3, 4), np.nan)
     some = slice(None, None, max(1, position.shape[1] // _COMPARED))
-    before = np.full(position[:1][:, some].shape, np.nan)
-    for first in range(int(frames[0]), int(frames[-1]) + 1, FRAMES_READ):
-        rows = np.flatnonzero((frames >= first) & (frames < first + FRAMES_READ))
-        if not len(rows):
-            continue
-        read = slice(first, first + FRAMES_READ)
-        here, inside = (values[read][frames[rows] - first][:, some] for values in (position, in_contact))
+    start = position[frames[:1]][:, some]
+    centre = nanmedian(start) @ _FROM_XY
+    radius = float(np.fmax(nanmedian(abs(start @ _FROM_XY - centre))[0], mm_per_px))
+    before = np.full(start.shape[:2], np.nan)
+    for rows in np.array_split(np.arange(len(frames)), len(frames) // FRAMES_READ + 1):
+        read = slice(int(frames[rows[0]]), int(frames[rows[-1]]) + 1)
+        here, inside = (values[read][frames[rows] - read.start][:, some] for values in (position, in_contact))
+        here = here @ _FROM_XY - centre
         moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
-        seen = np.isfinite(moved[..., 0])
+        seen = np.isfinite(moved)
         for side, group in enumerate((seen, seen & inside, seen & ~inside)):
-            medians = nanmedian(np.where(group[..., None], moved, np.nan))
-            steps[rows, side] = np.where(group.sum(1)[:, None] >= _FEWEST, medians, np.nan)
+            steps[rows, side] = np.where(group.sum(1)[:, None] >= _FEWEST, _step(here, moved, group, radius), np.nan)
     both = np.isfinite(steps).all((1, 2))
-    if both.sum() <= _LEAST_FRAMES:
-        return result, 0.0
-    # Of the steps, as the path has a jump where a group begins.
-    fast = _fast(np.nan_to_num(steps[1:]))[both[1:], 1:]  # the first step is not known
-    quarters = [np.square(part).mean(0).max() for part in np.array_split(fast[:, 1], 4)]
-    size, differs = np.sqrt(min(quarters)), np.sqrt(np.square(fast[:, 1] - fast[:, 0]).mean(0).max())
-    steady = size > _STEADY * np.sqrt(max(quarters))
-    if size > _LEAST_PX * mm_per_px and differs < _DIFFERS * size and steady:
-        result[frames] = _fast(np.nan_to_num(steps[:, 0]).cumsum(0))
-    return result, float(np.sqrt(np.square(result).mean(0).sum())) / mm_per_px
-
-
-def vibration_warning(vibration_px: float, counted: str) -> str:
-    """Return the warning of a vibration; `counted` says what contains it."""
-    return (
-        f"the whole image vibrates, by {vibration_px:.2g} px RMS: {counted}. Check what shakes the camera: a fan, a "
-        "motor, a loose mount"
+    if both.sum() > _LEAST_FRAMES:
+        # Of the steps, as the path has a jump where a group begins.
+        begin = int(both.argmax())
+        fast = _fast(np.nan_to_num(steps[begin:]))[both[begin:]]
+        quarters = np.stack([np.square(quarter).mean(0) for quarter in np.array_split(fast[:, 1], 4)])
+        least = np.fmax((_LEAST_PX * mm_per_px) ** 2, np.square((fast[:, 1] - fast[:, 0]) / _DIFFERS).mean(0))
+        found = quarters.min(0) > np.fmax(least, _STEADY**2 * quarters.max(0))
+        result[frames] = _fast(np.nan_to_num(steps[:, 0]).cumsum(0)) * found
+    motion, rms = result.view(np.complex128) / (1, radius), np.sqrt(np.square(result).mean(0))
+    motion[:, 0] -= motion[:, 1] * np.nan_to_num(centre)
+    warning = (
+        f"the whole image vibrates, by {np.hypot(*rms[:2]) / mm_per_px:.2g} px, {np.degrees(rms[3] / radius):.2g} "
+        f"degrees and {rms[2] / radius:.2%} of its size RMS: {counted}. Check what shakes the camera: a fan, a motor, "
+        f"a loose mount"
     )
+    return motion, [warning] * bool(rms.any())
+
+
+def steady(position: NDArray[np.float64], motion: Complex) -> NDArray[np.float64]:
+    """Return positions (..., 2) mm without the motion (..., 2) of the image by vibration."""
+    off = motion[..., 0] + motion[..., 1] * (position @ _FROM_XY)
+    return position - np.stack((off.real, off.imag), axis=-1)
+
+
+def _step(here: Complex, moved: Complex, group: NDArray[np.bool_], radius: float) -> NDArray[np.float64]:
+    """Return shift, change of scale and rotation (n, 4), mm at a `radius`: medians over the motions `moved` (n, N) of
+    the points of a `group` (n, N) at `here` (n, N).
+    """
+
+    def median(values: Complex) -> Complex:
+        parts = np.stack((values.real, values.imag), axis=-1)
+        return (nanmedian(np.where(group[..., None], parts, np.nan)) @ _FROM_XY)[:, None]
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a point in the middle
+        turn = median((moved - median(moved)) / (here - median(here)))
+    return np.concatenate((median(moved - turn * here), radius * turn), axis=1).view(np.float64)
 
 
 def _fast(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what is left of series (F, ...) beside smooth ones: those whose sum of squared third differences, weighted
-    so that a period of `_WINDOW` frames is halved, plus that of the squared deviations is least (Whittaker 1923).
+    """Return what is left of series (F, ...) beside smooth ones, which have half of a period of `_WINDOW` frames and
+    less of a shorter one, by the sixth power of the frequency.
     """
     columns = values.reshape(len(values), -1)
     # Both ends go on by linear prediction, as a smooth series could follow a vibration up to its end.
     columns = _predicted(_predicted(columns)[::-1])[::-1]
-    # A series that is mirrored at its ends, less the line between them, is periodic and smooth there.
-    line = columns[0] + np.linspace(0, 1, len(columns))[:, None] * (columns[-1] - columns[0])
-    odd = np.concatenate((columns - line, (line - columns)[-2:0:-1]))
-    turns = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(len(odd)))  # the factor of a second difference
-    share = turns**3 / (turns**3 + (2 - 2 * np.cos(2 * np.pi / _WINDOW)) ** 3)
-    fast = np.fft.irfft(np.fft.rfft(odd, axis=0) * share[:, None], len(odd), axis=0)[_WINDOW : len(columns) - _WINDOW]
-    return fast.reshape(values.shape)
+    columns = columns - np.linspace(columns[0], columns[-1], len(columns))
+    power = np.fft.rfftfreq(len(columns)) ** 6
+    spectrum = np.fft.rfft(columns, axis=0) * (power / (power + _WINDOW**-6.0))[:, None]
+    return np.fft.irfft(spectrum, len(columns), axis=0)[_WINDOW:-_WINDOW].reshape(values.shape)
 
 
 def _predicted(columns: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -136,8 +136,7 @@ def test_too_few_discs_in_a_frame_are_said_with_what_was_found() -> None:
 
 
 def test_a_similarity_is_exact_and_no_reflection() -> None:
-    random = np.random.default_rng(0)
-    source = random.uniform(0, 200, (6, 2))
+    source = np.random.default_rng(0).uniform(0, 200, (6, 2))
     matrix = similarity(133, 0.7, (10, 20), (3, 4))
     exact = fit_similarity(source, applied(matrix, source))
     np.testing.assert_allclose(exact.matrix, matrix, atol=1e-10)

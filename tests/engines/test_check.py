@@ -124,8 +124,7 @@ def test_the_truth_of_both_motions(engine: Engine, frames: list[BuiltIn]) -> Non
         # medians refer to the moved positions.
         np.testing.assert_allclose(numbers["fit"].mean(0)[0, 0], stretch, rtol=0.02)
         np.testing.assert_allclose(numbers["fit"].mean(0)[1, 1], -stretch / 2, rtol=0.02)
-    area = np.pi * 0.36 * 128 * 0.3 * 96
-    np.testing.assert_allclose(results[0]["gross_area_px"], area, rtol=0.05)
+    np.testing.assert_allclose(results[0]["gross_area_px"], np.pi * 0.36 * 128 * 0.3 * 96, rtol=0.05)
     assert results[1]["gross_area_px"] == 0
 
 

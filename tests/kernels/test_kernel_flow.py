@@ -66,8 +66,7 @@ def system(height: int, width: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     slopes = 30 * size * torch.randn(2, 2, height, width, generator=generator)
     slopes[..., : width // 3] = 0
     tensor = torch.cat((slopes[:, :1] ** 2 + size, slopes[:, :1] * slopes[:, 1:], slopes[:, 1:] ** 2 + size), 1) * mask
-    alpha = torch.tensor([400.0, 30.0]).view(2, 1, 1, 1)
-    right, down = (alpha * edge for edge in edges(mask))
+    right, down = (torch.tensor([400.0, 30.0]).view(2, 1, 1, 1) * edge for edge in edges(mask))
     return tensor, right, down, mask
 
 

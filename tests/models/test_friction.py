@@ -52,8 +52,7 @@ def test_the_limit_is_kept_when_it_falls_and_direction_is_no_matter() -> None:
     force = slide(0.0, 1.0, 0.05)[0]
     assert force == 0.05
     for limit in (0.04, 0.01, 1e-100, 0.0):
-        force = slide(force, 0.0, limit)[0]
-        assert force == limit
+        assert slide(force, 0.0, limit)[0] == limit
     draw = np.random.default_rng(0)
     before, slid, limit = 0.02 * draw.standard_normal(2000), 1e-3 * draw.standard_normal(2000) ** 5, draw.random(2000)
     for n in (0.0, 0.7, 1.3):

@@ -37,8 +37,7 @@ def test_area_and_load_are_inverse_along_the_larger_root(mu_s: float, mu_k: floa
     areas = smallest + (1 - smallest) * torch.linspace(0, 1, 2001, dtype=torch.float64)
     back = partial_slip.stuck_area(partial_slip.load_ratio(areas, mu_s, mu_k), mu_s, mu_k)
     slope = 2 * ((2 * mu_s - mu_k) * areas - (mu_s - mu_k)).abs()
-    held = 1e-12 + 1e-15 * max(mu_s, mu_k) / slope.clamp(min=1e-7)
-    assert ((back - areas).abs() <= held).all()
+    assert ((back - areas).abs() <= 1e-12 + 1e-15 * max(mu_s, mu_k) / slope.clamp(min=1e-7)).all()
     inner = areas > smallest + 1e-2
     torch.testing.assert_close(back[inner], areas[inner], atol=1e-12, rtol=0)
 

@@ -47,8 +47,7 @@ def _model(lens: Lens, straight: NDArray[np.float64]) -> NDArray[np.float64]:
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_positions_follow_the_model(lens: Lens) -> None:
     view = View((10, _ROWS), (_COLUMNS // 2, _COLUMNS))
-    random = np.random.default_rng(0)
-    straight = random.uniform((_COLUMNS / 2, 10), (_COLUMNS - 1, _ROWS - 1), (50, 2))
+    straight = np.random.default_rng(0).uniform((_COLUMNS / 2, 10), (_COLUMNS - 1, _ROWS - 1), (50, 2))
     recorded = _model(lens, straight) - (view.columns[0], view.rows[0])
     found = lens.straighten(recorded, view)
     np.testing.assert_allclose(np.diff(found, axis=0), np.diff(straight, axis=0), atol=1e-6)

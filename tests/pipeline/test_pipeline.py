@@ -94,8 +94,7 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
 def test_backward_and_previous_track_too(scene: Scene, press: Path) -> None:
     truth = rebuild_scene(press).truth
     settings = replace(scene.tracking, direction="backward", template="previous")
-    backward = process(replace(scene, tracking=settings), ["position_px", "status"])
-    pixels = backward["position_px"].values
+    pixels = process(replace(scene, tracking=settings), ["position_px", "status"])["position_px"].values
     material = truth.material(truth.topography_positions(pixels[-1]), len(pixels) - 1)
     found = np.isfinite(pixels[0]).all(-1)
     error = (pixels[0] - truth.topography_pixels(truth.positions(material, 0)))[found]

@@ -72,9 +72,7 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
 
     Tolerance of points: three standard deviations of the difference of two estimates (sqrt(2) of the stated one), plus
     0.01 px for prediction and renewal (tests/test_engines_agree.py); 99 in 100 lie within the 0.01 px alone. Of the
-    median divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md). Of the divergence of a
-    point: its growth in a frame, as an onset in a bad frame is seen a frame late, and three standard deviations of the
-    difference of two estimates, from second differences in time, whose variance is 6 sigma^2.
+    median divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md).
     """
     good, clean = np.setdiff1d(np.arange(small_trials.FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
@@ -89,12 +87,6 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
     np.testing.assert_allclose(
         records["median_divergence"][good], clean["median_divergence"][good], rtol=0, atol=2.5e-3
     )
-    off, known = np.abs(records["divergence"][good] - clean["divergence"][good]), np.isfinite(clean["divergence"][good])
-    np.testing.assert_array_equal(np.isfinite(off), known)
-    with np.errstate(invalid="ignore"):
-        growth = np.nan_to_num(np.abs(np.diff(clean["divergence"], axis=0))).max(0)
-        noise = np.sqrt(np.nanmean(np.diff(clean["divergence"], 2, axis=0) ** 2) / 6)
-    assert (off[known] <= np.broadcast_to(growth + 3 * 2**0.5 * noise, off.shape)[known]).all()
     np.testing.assert_array_equal(records["slip_flag"][good], clean["slip_flag"][good])
 
 
@@ -120,11 +112,11 @@ def test_a_bad_frame_counts_in_no_number_live_or_recorded(small: Small) -> None:
     recorded = fingerflow.process(small.folder / "damaged" / "scene.toml")
     np.testing.assert_array_equal(live["frame_status"], recorded["frame_status"])
     assert stream["frame_status"].attrs == recorded["frame_status"].attrs
-    np.testing.assert_allclose(live["real_contact_area"], recorded["real_contact_area"], rtol=2e-3)
-    np.testing.assert_allclose(live["gross_contact_area"], recorded["gross_contact_area"], rtol=2e-3)
+    for name in ("real_contact_area", "gross_contact_area"):
+        np.testing.assert_allclose(live[name], recorded[name], rtol=2e-3)
     np.testing.assert_allclose(live["median_divergence"], recorded["median_divergence"], rtol=0, atol=1.7e-3)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(stream["tracked_share"])), ALONE)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(recorded["tracked_share"])), ALONE)
+    for result in (stream, recorded):
+        np.testing.assert_array_equal(np.flatnonzero(np.isnan(result["tracked_share"])), ALONE)
 
 
 def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:

@@ -72,8 +72,7 @@ def test_frames_are_those_in_the_file(tmp_path, name, frames, stored, options):
 )
 def test_a_truncated_file_has_its_whole_frames(tmp_path, name, options):
     data = write(tmp_path / name, GREY16, **options).read_bytes()
-    start = data.index(GREY16[0].astype("<u2").tobytes())
-    (tmp_path / name).write_bytes(data[: start + 1200 * 4 + 7])
+    (tmp_path / name).write_bytes(data[: data.index(GREY16[0].astype("<u2").tobytes()) + 1200 * 4 + 7])
     recording = open_recording(tmp_path / name)
     np.testing.assert_array_equal(recording.read(), GREY16[:4])
     assert recording.warnings[0].startswith("truncated")

@@ -102,8 +102,7 @@ def test_frames_are_chosen_by_what_happens() -> None:
     assert found["largest contact"] == np.argmax(grown)
     weak = of_frames(100, gross_contact_area=area, normal_force=0.5 * time)
     assert [why for _, why in key_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
-    nothing = of_frames(100, gross_contact_area=np.full(100, np.nan), normal_force=normal)
-    assert key_frames(nothing) == []
+    assert key_frames(of_frames(100, gross_contact_area=np.full(100, np.nan), normal_force=normal)) == []
 
 
 def test_a_trial_in_which_every_frame_is_bad(trial: Trial, tmp_path: Path) -> None:

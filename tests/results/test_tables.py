@@ -27,8 +27,7 @@ GRADIENT = np.array([[0.2, -0.1], [0.05, 0.3]])
 @pytest.fixture(scope="module")
 def result() -> xr.Dataset:
     """Return drifting points on 4 x 3 mm with fields linear in position; one point is lost in the last frame."""
-    random = np.random.default_rng(3)
-    start = random.uniform((0, 0), (4, 3), (POINTS, 2))
+    start = np.random.default_rng(3).uniform((0, 0), (4, 3), (POINTS, 2))
     position = start + 0.1 * np.arange(FRAMES)[:, None, None]
     position[2, 7] = np.nan
     triangles = Delaunay(start).simplices.astype(np.int32)

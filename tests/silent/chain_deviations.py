@@ -12,5 +12,4 @@ from tests.silent.deviations import judged
 def cases() -> Iterator[Case]:
     """Yield a case for each quantity, recorded and live."""
     design = Design(participants=2, trials=2, amplitudes=(3.0,), friction=(0.4, 0.15))
-    presses = draw_presses(design)
-    yield from judged((f"press {k}", make_recording(design, presses, k)) for k in range(8))
+    yield from judged((f"press {k}", make_recording(design, draw_presses(design), k)) for k in range(8))

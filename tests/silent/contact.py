@@ -238,8 +238,7 @@ def try_fault(fault: Fault, recording: Path, right: xr.Dataset, live: bool = Fal
     light = glass - black
     share = np.where(light > 2, (view.crop(frames) - black) / np.maximum(light, 2), 1.0)
     kept = fault.frames(share, PRESS)
-    moved = np.roll(light, fault.moved_px, 2)
-    view.crop(frames)[:] = np.clip(kept * moved + black, 0, 255).round()
+    view.crop(frames)[:] = np.clip(kept * np.roll(light, fault.moved_px, 2) + black, 0, 255).round()
     if fault.background is not None:
         view.crop(empty[None])[:] = fault.background(light, PRESS) + black * (fault.background is not _zero_rows)
     with tempfile.TemporaryDirectory() as folder:

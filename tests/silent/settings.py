@@ -17,7 +17,7 @@ from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press, Slide, write_recording
 from tests.silent.case import Case, without_fault
-from tests.small_trials import scene_beside, warnings_of
+from tests.small_trials import scene_beside, turned, warnings_of
 
 Frames = np.ndarray[Any, Any]
 LOST = 27  # frames
@@ -91,6 +91,10 @@ MISTAKES = (
         _topography(lambda view: view[:, :, ::-1])),
     Mistake("topography mirrored top to bottom", {}, "median_curl", "view is mirrored",
         _topography(lambda view: view[:, ::-1])),
+    Mistake("camera turns by 0.08 degrees RMS", {}, "median_curl", "the whole image vibrates",
+        lambda frames: {"frames": turned(frames, 0.113)}),
+    Mistake("topography frozen", {}, "median_curl", "repeats its picture",
+        _topography(lambda view: view[:1].repeat(len(view), 0))),
     Mistake("topography saturated", {}, "median_curl", "topography view is saturated",
         _topography(lambda view: (view * 2.2).clip(0, 255).astype(view.dtype))),
 )  # fmt: skip

@@ -94,8 +94,7 @@ def records_of(scene: SyntheticScene, flicker: float, folder: Path) -> np.ndarra
     frames = np.load(folder / "trial" / "frames.npy")
     light = 1 + flicker * np.sin(np.arange(len(frames)))
     np.save(folder / "trial" / "frames.npy", np.clip(np.rint(frames * light[:, None, None]), 0, 255).astype("u1"))
-    bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
-    return played(bundle, file)
+    return played(write_library_bundle(folder / "bundle", recipe_of_trials()), file)
 
 
 def flags_of(scene: SyntheticScene, seed: int) -> np.ndarray[Any, Any]:

@@ -32,8 +32,7 @@ def test_noise_is_the_stated_deviation_at_half_of_the_range_and_shot_noise_grows
 
 def test_salt_and_pepper_stay_in_their_view() -> None:
     camera = Camera(salt_and_pepper=0.01)
-    view = View(rows=(0, 400), columns=(250, 500))
-    frame = camera.read_out(torch.full(SHAPE, 120.0), 0, defects=view)
+    frame = camera.read_out(torch.full(SHAPE, 120.0), 0, defects=View(rows=(0, 400), columns=(250, 500)))
     extreme = (frame == 0) | (frame == 255)
     assert not extreme[:, :250].any()
     # 1000 pixels are drawn, some twice: a share of 1 - exp(-0.01) at most; half of them are white.

@@ -59,8 +59,7 @@ def _statuses(skins: list[Array], noise: Iterable[int] = range(99), end: bool = 
 def test_skin_that_moves_is_no_jump() -> None:
     """Every frame is usable while skin slides faster and faster, and when it jumps by 5 px and stays there."""
     skin = _skin()
-    way = np.cumsum(np.linspace(0, 1.0, 40))
-    assert _statuses([_moved(skin, px) for px in way]) == ["usable"] * 40
+    assert _statuses([_moved(skin, px) for px in np.cumsum(np.linspace(0, 1.0, 40))]) == ["usable"] * 40
     assert _statuses([_moved(skin, 0.1 * k + 5 * (k >= 20)) for k in range(40)]) == ["usable"] * 40
 
 
@@ -100,8 +99,7 @@ def test_flickering_light_is_no_bad_frame_once_it_is_known() -> None:
     """Of a lamp that flickers by a fifth at 115 Hz, at 300 frames/s, at most nine frames count as bad, until the
     flicker is known.
     """
-    place = _skin()[:, :240]
-    found = _statuses([place * (1 + 0.2 * np.sin(2.4 * k)) for k in range(60)])
+    found = _statuses([_skin()[:, :240] * (1 + 0.2 * np.sin(2.4 * k)) for k in range(60)])
     assert [one != "usable" for one in found].count(True) <= 9
     assert found[14:57] == ["usable"] * 43
 

@@ -66,8 +66,7 @@ class Synthetic:
             topography.crop(frame)[...] = (90 + 70 * skin) * gain
             _, lost = _draw_finger(contact.shape, progress)
             contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
-            touching = int((lost > 0.5).sum())
-            self._expected.append(expected(progress, contact.shape, scale, touching))
+            self._expected.append(expected(progress, contact.shape, scale, int((lost > 0.5).sum())))
         self.background = np.full(shape, 200 * gain, dtype)
 
     def frames_from(self, number: int) -> Synthetic:

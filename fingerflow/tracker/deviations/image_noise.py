@@ -29,5 +29,4 @@ def noise_variance(now: Array, touch: Touching, adds_up: bool = False) -> Array:
         return abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
     then = np.where(touch.variance > 0, touch.variance, now)
     earlier = np.where(touch.earlier > 0, touch.earlier, now)
-    since = now + np.square(touch.share) * then
-    return (np.where(touch.begins, rest * now, since) + rest * earlier) / 2
+    return (np.where(touch.begins, rest * now, now + np.square(touch.share) * then) + rest * earlier) / 2

@@ -98,5 +98,4 @@ def strain_deviations(divergence_std: Array, curl_std: Array) -> Array:
     """Return the deviations (..., 3) of exx, eyy and exy from those (...) of divergence and curl, to first order, of
     gradients whose four elements err alike.
     """
-    of_element = np.sqrt(divergence_std**2 + curl_std**2)[..., None] / 2
-    return of_element * np.array((1, 1, 0.5**0.5), np.float32)
+    return np.sqrt(divergence_std**2 + curl_std**2)[..., None] / 2 * np.array((1, 1, 0.5**0.5), np.float32)

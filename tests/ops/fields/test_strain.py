@@ -30,8 +30,7 @@ def test_divergence_and_curl_have_their_signs() -> None:
 
 def test_rotating_a_stretched_finger_changes_the_printed_strain_only() -> None:
     """The printed exy lacks (u_x u_y + v_x v_y) / 2, so it depends on the rotation after the stretch."""
-    stretch = torch.tensor([[1.2, 0.0], [0.0, 0.9]], dtype=torch.float64)
-    gradient = rotation(0.3) @ stretch - IDENTITY
+    gradient = rotation(0.3) @ torch.tensor([[1.2, 0.0], [0.0, 0.9]], dtype=torch.float64) - IDENTITY
     expected = torch.tensor([0.22, -0.095, 0.0], dtype=torch.float64)
     torch.testing.assert_close(green_lagrange(gradient), expected, atol=1e-15, rtol=0)
     printed = green_lagrange(gradient, "as_printed")

@@ -14,6 +14,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.recordings.frames.recording import Recording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS
+from tests.silent.case import played
 from tests.small_trials import SPOILED, scene_beside, warnings_of
 
 Frame = np.ndarray[Any, Any]
@@ -66,14 +67,18 @@ def test_a_camera_that_gives_every_frame_twice_is_named(clean: Clean, tmp_path: 
     assert "50% of the frames repeat another one" in warnings_of(result)
 
 
-def test_noise_and_lines_in_disorder_count_in_no_number(clean: Clean, tmp_path: Path) -> None:
-    frames, generator = clean.frames.copy(), np.random.default_rng(1)
-    frames[20:28] = generator.integers(0, 256, frames[20:28].shape)
-    frames[40:48] = generator.permuted(frames[40:48], axis=1)
-    frames[60:68] = generator.permutation(frames[60:68], axis=1)
-    result = process(with_frames(clean, frames, tmp_path), AREAS)
-    assert status_of(result) == dict.fromkeys([*range(20, 28), *range(40, 48), *range(60, 68)], "noise")
-    assert "or with lines or blocks in disorder: 20, 21" in warnings_of(result)
+@pytest.mark.parametrize(("view", "columns"), [("topography", slice(240)), ("contact", slice(240, 480))])
+def test_a_frozen_view_counts_in_no_number(view: str, columns: slice, trials: Path, tmp_path: Path) -> None:
+    """A view that stands still from frame 20 on is named, live and recorded, and only the frames until then count."""
+    frames = np.load(trials / "press" / "frames.npy")
+    frames[21:, :, columns] = frames[20, :, columns]
+    scene = scene_beside(trials / "press", tmp_path, frames=frames)
+    for result in (process(scene, AREAS), played(scene.path)):
+        assert status_of(result) == dict.fromkeys(range(21, 72), "repeated")
+        assert f"the {view} view repeats its picture while the other view goes on, in 51 frames" in warnings_of(result)
+    frames[:, :, columns] = frames[20, :, columns]
+    with pytest.raises(FingerflowError, match=f"no frame can be measured: the {view} view repeats its picture"):
+        process(scene_beside(trials / "press", tmp_path, frames=frames), AREAS)
 
 
 def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) -> None:

@@ -74,8 +74,7 @@ def seen(at: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def shown(distance: NDArray[np.float64], growth: float, power: float) -> NDArray[np.float64]:
     """Return the window means of a displacement that grows as growth x^power beyond a border at 0.15 mm."""
-    beyond = (0.15 - distance)[:, None] + window_offsets(HALF)
-    return growth * (np.maximum(beyond, 0) ** power).mean(1)
+    return growth * (np.maximum((0.15 - distance)[:, None] + window_offsets(HALF), 0) ** power).mean(1)
 
 
 @pytest.mark.parametrize(("growth", "power"), [(0.2, 1.0), (0.6, 1.5), (0.2, 2.0)])

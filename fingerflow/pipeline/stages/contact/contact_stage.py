@@ -182,17 +182,16 @@ class ContactStage(Stage):
         The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
         other. That contact has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self._largest, self._region_in(np.argmax(self.usable))
+        largest, first = self._largest, self._gross_region(self._contact(np.argmax(self.usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def touched(self, frames: int = _LOOKS) -> Mask:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
-        return np.any([self._region_in(frame) for frame in self._sampled_frames(frames)], axis=0)
+        return np.any([self._gross_region(self._contact(frame)) for frame in self._sampled_frames(frames)], axis=0)
 
     def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
         usable = np.flatnonzero(self.usable)
-        looks = np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int)
-        return usable[np.unique(looks)]
+        return usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int))]
 
     def first_and_largest(self, margin_px: int) -> Mask:
         """Return the union (h, w) of the gross contact masks in the first usable frame and in the frame with most
@@ -201,7 +200,7 @@ class ContactStage(Stage):
         A contact that slides has left the first region by then. The margin gives points on both sides of the contact
         border.
         """
-        beyond = ~(self._region_in(np.argmax(self.usable)) | self._largest)
+        beyond = ~(self._gross_region(self._contact(np.argmax(self.usable))) | self._largest)
         return cv2.distanceTransform(beyond.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= margin_px
 
     def _check_view(self, contact: FrameContact) -> None:
@@ -271,9 +270,6 @@ class ContactStage(Stage):
                 several = [*view_faults.check_second_contact(outside, self._second_px, radius_px, pixel_mm2[k], frame)]
                 self._several_parts = bool(several)
                 self.warnings += several
-
-    def _region_in(self, frame: np.integer) -> Mask:
-        return self._gross_region(self._contact(frame))
 
     def _gross_region(self, contact: FrameContact) -> Mask:
         if not (contact.density_margin > 0).any():

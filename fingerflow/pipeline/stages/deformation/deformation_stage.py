@@ -30,7 +30,7 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
-from fingerflow.tracker.vibration import FRAMES_READ, vibration, vibration_warning
+from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
 
 Points = NDArray[np.float64]
 
@@ -105,13 +105,12 @@ class DeformationStage(Stage):
         common, self.seeded = common_frame(self.results["position"], self.results["status"], first, backward)
         self._later = self.seeded != first
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
-        self._shaken, pressed = np.zeros((len(self.trial), 2)), inputs.scene.kind in ("press", "single_view")
+        self._shaken, pressed = np.zeros((len(self.trial), 2), complex), inputs.scene.kind in ("press", "single_view")
         if pressed:
-            position, in_contact = self.results["position"], self.results["in_contact"]
-            self._shaken, shaken_px = vibration(position, in_contact, usable, self.mm_per_px)
-            if shaken_px:
-                counted = "displacement and strain are those without this motion, positions those with it"
-                self.warnings.append(vibration_warning(shaken_px, counted))
+            counted = "displacement and strain are those without this motion, positions those with it"
+            shaken = self.results["position"], self.results["in_contact"], usable, self.mm_per_px, counted
+            self._shaken, vibrates = vibration(*shaken)
+            self.warnings.extend(vibrates)
         if then is not None:
             # Positions of all points, and their standard deviations, in the frame from which displacement counts.
             self._fixed = self.steady_position(np.array([then]))[0]
@@ -119,7 +118,7 @@ class DeformationStage(Stage):
                 self.results[name][then : then + 1][0] for name in ("position_px", "position_noise_px")
             )
         border = FrameEllipse(*(self.results[f"ellipse_{part}"][:] for part in FrameEllipse._fields))
-        self.border = self._onset_border = border._replace(center=border.center - self._shaken)
+        self.border = self._onset_border = border._replace(center=steady(border.center, self._shaken))
         self._dilated = inputs.scene.fields.reference == "dilated_onset"
         if self._dilated:
             axes = border.semi_axes + inputs.scene.contact.gross_radius_px * inputs.mm_per_px
@@ -375,11 +374,11 @@ class DeformationStage(Stage):
         it, and their deviations (..., N) by image noise, mm.
         """
         noise = select_frames(self.results["position_noise_px"], frames)
-        return select_frames(self.results["position"], frames) - self._shaken[frames], self.mm_per_px * noise
+        return steady(select_frames(self.results["position"], frames), self._shaken[frames]), self.mm_per_px * noise
 
     def steady_position(self, indices: NDArray[np.intp]) -> Points:
         """Return the positions (n, N, 2) mm of the points in n frames, without the vibration of the image."""
-        return self.results["position"][indices] - self._shaken[indices, None]
+        return steady(self.results["position"][indices], self._shaken[indices, None])
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FRAME_CHECK, JUMPS, NOT_FINITE, REPEATED, UNREADABLE, USABLE
+from fingerflow.tracker import frame_copies
 from fingerflow.tracker.block_means import PictureCheck, block_means
-from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import jumps_and_returns
 
@@ -42,7 +42,7 @@ class FrameCheckStage(Stage):
         self._status = np.zeros(len(trial), np.uint8)
         self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
-        self._keys: list[bytes] = []
+        self._keys: list[frame_copies.FrameKey] = []
 
     def begin(self) -> None:
         contact = self._views[0]
@@ -68,7 +68,7 @@ class FrameCheckStage(Stage):
             samples = PixelSamples.sample(frames)
             self._distances[k].append(squared_distances_before(samples, self._before[k]))
             self._before[k] = samples.last(LONGEST + 1, self._before[k])
-        self._keys += map(frame_key, zip(*view_blocks, strict=True))
+        self._keys += map(frame_copies.frame_key, zip(*view_blocks, strict=True))
 
     def finish(self) -> None:
         """Set the status of each frame, and warn of unusable frames.
@@ -79,17 +79,22 @@ class FrameCheckStage(Stage):
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = UNREADABLE
         distances = np.concatenate([np.concatenate(batches) for batches in self._distances], axis=2)
-        twice = copies(self._keys, distances, status == USABLE)
+        twice = frame_copies.copies(self._keys, status == USABLE)
+        # A codec that predicts frames from others repeats a view in which little moves.
+        exact = self.inputs.recording.takes_from_other_frames is None
+        views = frame_copies.StaleViews()
+        stale = [exact and views.update(key) for key in self._keys]
         # Free the memory: these lists are larger than the results of a frame without points.
         self._distances, self._keys, self._before = [], [], []
-        share = float(twice.mean())
-        if share <= REPEATED_SHARE:
+        if (share := twice.mean()) <= frame_copies.REPEATED_SHARE:
             status[twice] = REPEATED
         else:
             self.warnings.append(
                 f"{self.inputs.recording.path}: {share:.0%} of the frames repeat another one: the "
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
+        status[np.array(stale) & (status == USABLE)] = REPEATED
+        self.warnings += (causes := views.warnings())
         status[jumps_and_returns(distances, status == USABLE)] = JUMPS
         self.results.put("frame_status", status)
         faults = [(meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1)]
@@ -100,15 +105,14 @@ class FrameCheckStage(Stage):
             self.warnings.append(
                 f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
             )
-        doubtful = self.inputs.recording.doubtful
-        if doubtful:
+        if doubtful := self.inputs.recording.doubtful:
             numbers = np.array(sorted(doubtful)) + self.first_frame
             self.warnings.append(
                 f"{self.inputs.recording.path}: the decoder reported errors at {_listed(numbers)} "
                 f"({doubtful[min(doubtful)]}); their pixels may be wrong: copy the file again"
             )
-        if not (status == USABLE).any():
-            counts = ", ".join(f"{len(frames)} {meaning}" for meaning, frames in faults)
+        if (status == USABLE).sum() <= bool(causes):
+            counts = "; ".join(causes) or ", ".join(f"{len(frames)} {meaning}" for meaning, frames in faults)
             raise FingerflowError(
                 f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "
                 f"[background] and [views.contact] in {self.inputs.scene.path}"

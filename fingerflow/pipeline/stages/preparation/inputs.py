@@ -84,15 +84,10 @@ class Inputs:
     def _is_bright(self, view: View) -> bool:
         return self.scene.contact.appears == "bright" and view == self.scene.views.contact
 
-    def view(self, frames: Array, view: View) -> Tensor:
-        """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
-
-        8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
-        """
-        return images_on(self.device, view.crop(frames))
-
     def contact_view(self, frames: Array) -> Tensor:
-        """Return the contact view of frames (n, H, W) as `view` does, and its negative if contact appears bright."""
+        """Return the contact view of frames (n, H, W) as a read-only tensor (n, 1, h, w) on the device of the run, and
+        its negative if contact appears bright.
+        """
         return images_on(self.device, self.counts(frames, self.scene.views.contact))
 
     def reference(self, view: View) -> Tensor:
@@ -148,7 +143,7 @@ class Inputs:
             whole = [index for index in range(len(part)) if index not in part.unreadable]
             if not whole:
                 raise FingerflowError(f"{path}: frame 0 of the background {part.unreadable[0]}; {remedy}")
-            mean = (pictures if len(whole) == len(part) else pictures[whole]).mean(axis=0, dtype=np.float64)
+            mean = pictures[whole].mean(axis=0, dtype=np.float64)
         return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
+from fingerflow.engines.torch import images_on
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow, flow_response
@@ -110,7 +111,7 @@ class DenseFlowSlipStage(SlipStage):
         view = self.inputs.scene.views.topography
         assert view is not None
         assert frames is not None
-        return self.inputs.view(frames, view)
+        return images_on(self.inputs.device, view.crop(frames))
 
     def _follow(self, frame: int, image: Tensor, grid: SlipGrid, flow: SkinFlow) -> None:
         """Compute the dense optical flow from the first frame to frame `frame`, store it at the contact cells, and

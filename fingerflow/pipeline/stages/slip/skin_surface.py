@@ -39,8 +39,7 @@ class SkinSurface:
         # The bending energy is positive definite on coefficients orthogonal to planes (Wahba 1990).
         self._bend = np.zeros_like(bending)
         if free.shape[1]:
-            factor = cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1]))
-            self._bend = free @ cho_solve(factor, free.T)
+            self._bend = free @ cho_solve(cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1])), free.T)
         level = np.linalg.pinv(plane) @ (np.eye(len(scaled)) - bending @ self._bend)
         between = _kernel(cdist(queries, scaled, "sqeuclidean"))
         lying = np.concatenate((np.ones((len(queries), 1)), queries), 1)

@@ -351,8 +351,7 @@ def _settled(motion: Array) -> Array:
 def _largest(fine: Mask) -> Mask:
     """Return the largest 8-connected part of a mask (H, W), or the first in reading order of equally large ones."""
     parts, _ = label(fine, np.ones((3, 3)))
-    sizes = np.bincount(parts[fine], minlength=1)
-    return fine & (parts == sizes.argmax())
+    return fine & (parts == np.bincount(parts[fine], minlength=1).argmax())
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> dict[str, float]:

@@ -125,8 +125,7 @@ class StuckBorder:
         """
         if self.fit is None:
             return math.nan
-        hidden = self.fit.slip_distance(_SHARED * self.noise)
-        return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, hidden)
+        return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, self.fit.slip_distance(_SHARED * self.noise))
 
     @property
     def followed(self) -> float:

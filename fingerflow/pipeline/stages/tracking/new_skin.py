@@ -165,8 +165,7 @@ class NewSkin:
         inside = _look_up(away > 0, row, column)
         away[row[inside], column[inside]] = 0
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
-        spacing = float(np.median(cKDTree(position).query(position, k=2)[0][:, 1]))
-        return distance < spacing / 2
+        return distance < np.median(cKDTree(position).query(position, k=2)[0][:, 1]) / 2  # of their spacing
 
 
 def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:
