@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.special import ellipe
 
 from fingerflow.kernels.arrays import is_finite
 from fingerflow.kernels.result_records import FrameEllipse
@@ -270,6 +271,6 @@ def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tupl
 
 
 def perimeter(semi_axes: Array) -> Array:
-    """Return the perimeters (n,) mm of ellipses with semi-axes (n, 2) mm (Ramanujan 1914)."""
-    sums, turned = semi_axes.sum(1), semi_axes[:, ::-1]
-    return np.pi * (3 * sums - np.sqrt((3 * semi_axes + turned).prod(1)))
+    """Return the perimeters (n,) mm of ellipses with semi-axes (n, 2) mm, the larger first."""
+    major, minor = semi_axes.T
+    return 4 * major * np.asarray(ellipe(1 - (minor / major) ** 2))
