@@ -81,6 +81,17 @@ void sensitivity(std::int64_t measure, const float (&gradient)[4][kAreaBlock],
     }
 }
 
+// Weight of each point at position q times its offset from the centroid, (count) each.
+void moments(const AreaPoints& points, const AreaFits& fits, int q, float* FINGERFLOW_RESTRICT along_x, float* FINGERFLOW_RESTRICT along_y) {
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t k = 0; k < points.count; ++k) {
+        const float dx = points.x[k] - fits.x[q], dy = points.y[k] - fits.y[q], left = 1 - (dx * dx + dy * dy);
+        const float closeness = left > 0 ? left : 0.0f, w = closeness * closeness;
+        along_x[k] = w * (points.x[k] - fits.center_x[q]);
+        along_y[k] = w * (points.y[k] - fits.center_y[q]);
+    }
+}
+
 }  // namespace
 
 // Lengths are in radii from the centre of the ellipse, displacements in the unit of `given`.
@@ -171,15 +182,8 @@ void add_shares(const fingerflow_area_medians& given, const AreaPoints& points, 
                 along_y[positions][2 * field + c] = scale * (x * b + y * d);
             }
         }
-        // Weight of each point times its offset from the centroid.
         float* const weighted = memory + 2 * positions++ * points.count;
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t k = 0; k < points.count; ++k) {
-            const float dx = points.x[k] - fits.x[q], dy = points.y[k] - fits.y[q], left = 1 - (dx * dx + dy * dy);
-            const float closeness = left > 0 ? left : 0.0f, w = closeness * closeness;
-            weighted[k] = w * (points.x[k] - fits.center_x[q]);
-            weighted[points.count + k] = w * (points.y[k] - fits.center_y[q]);
-        }
+        moments(points, fits, q, weighted, weighted + points.count);
     }
     // Two points at a time, so that additions of one sum do not wait for each other.
     for (std::int64_t k = 0; k < points.count; k += 2) {
@@ -255,6 +259,7 @@ public:
         sort_points();
         fit();
         std::vector<float> values;
+        values.reserve(size(given_.positions));
         for (int field = 0; field < kAreaFields; ++field) {
             values.clear();
             for (const Block& block : blocks_)
@@ -372,45 +377,47 @@ private:
         fill();
     }
 
-    // Gives a position without a fit the fields of the nearest position with one, but of divergence and the trace of the
-    // strain the values there of planes fitted to those known within a gauge length, unless the nearest has the fields of
-    // a point of its own. Points end before the border of the contact, and medians without its rim would be those of the
-    // inner part.
+    // Gives a position without a fit the fields of the nearest position with one, with the trace of the strain of a plane
+    // fitted to those known within a gauge length, unless the nearest has the fields of a point of its own. Points end before the
+    // border of the contact, and medians without its rim would be those of the inner part.
     void fill() {
         for (Block& block : blocks_)
             for (int q = 0; q < block.positions; ++q) {
-                float nearest = far_;
+                if (block.fits.known[q] > 0) continue;
+                // Weighted sums of 1, x, y, their products and those with the trace f of the strain: registers, as an array would be memory.
+                float nearest = far_, mass = 0, sx = 0, sy = 0, sxx = 0, sxy = 0, syy = 0, sf = 0, sxf = 0, syf = 0;
                 auto& to = block.fits.fields;
                 bool follows = false;
-                double sums[3][5] = {};  // of products of 1, x and y with these, divergence and trace
                 for (const Block& other : blocks_)
-                    for (int p = 0; p < other.positions && !(block.fits.known[q] > 0); ++p) {
+                    for (int p = 0; p < other.positions; ++p) {
                         const auto& from = other.fits.fields;
                         const float x = other.fits.x[p] - block.fits.x[q], y = other.fits.y[p] - block.fits.y[q];
                         const float square = x * x + y * y, left = 1 - square / 4;
                         if (!(other.fits.known[p] > 0 && left > 0)) continue;
-                        const float basis[5] = {1, x, y, from[0][p], from[2][p] + from[3][p]};
-                        for (int row = 0; row < 3; ++row)
-                            for (int k = 0; k < 5; ++k) sums[row][k] += left * left * basis[row] * basis[k];
+                        const float w = left * left, wx = w * x, wy = w * y, f = from[2][p] + from[3][p];
+                        mass += w;
+                        sx += wx;
+                        sy += wy;
+                        sxx += wx * x;
+                        sxy += wx * y;
+                        syy += wy * y;
+                        sf += w * f;
+                        sxf += wx * f;
+                        syf += wy * f;
                         if (!(square < nearest)) continue;
                         nearest = square;
                         block.fits.known[q] = -1;
                         follows = other.apart[p] < 0;
                         for (int field = 0; field < kAreaFields; ++field) to[field][q] = from[field][p];
                     }
-                const double mass = sums[0][0], least = 4 * given_.least_spread * given_.least_spread * mass;
-                for (int row : {1, 2})  // about the centroid
-                    for (int c = 4; c >= 0; --c) sums[row][c] -= sums[row][0] / mass * sums[0][c];
-                const double xx = sums[1][1], xy = sums[1][2], yy = sums[2][2];
+                const float x = sx / mass, y = sy / mass, xx = sxx - x * sx, xy = sxy - x * sy, yy = syy - y * sy;
+                const float xf = sxf - x * sf, yf = syf - y * sf, mixed = x * (yy * xf - xy * yf) + y * (xx * yf - xy * xf);
+                const auto least = 4 * static_cast<float>(given_.least_spread * given_.least_spread) * mass;
                 if (!follows || !(xx > least && (xx - least) * (yy - least) > xy * xy)) continue;
-                const auto value = [&](int c) {
-                    const double x = yy * sums[1][c] - xy * sums[2][c], y = xx * sums[2][c] - xy * sums[1][c];
-                    return static_cast<float>((sums[0][c] - (sums[0][1] * x + sums[0][2] * y) / (xx * yy - xy * xy)) / mass);
-                };
-                const float added = (value(4) - to[2][q] - to[3][q]) / 2;
-                to[0][q] = value(3);
-                to[2][q] += added;
-                to[3][q] += added;
+                const float added = sf / mass - mixed / (xx * yy - xy * xy) - to[2][q] - to[3][q];
+                to[0][q] += added;
+                to[2][q] += added / 2;
+                to[3][q] += added / 2;
             }
     }
 
@@ -445,18 +452,18 @@ private:
     AreaPoints near(const AreaFits& fits, float* memory) const {
         const auto room = static_cast<std::int64_t>(number_.size());
         auto* const number = reinterpret_cast<std::int32_t*>(memory + 5 * room);
-        const auto [low_x, high_x] = std::minmax_element(fits.x, fits.x + kAreaBlock);
-        const auto [low_y, high_y] = std::minmax_element(fits.y, fits.y + kAreaBlock);
+        const auto ends_x = std::minmax_element(fits.x, fits.x + kAreaBlock), ends_y = std::minmax_element(fits.y, fits.y + kAreaBlock);
+        const float low_x = *ends_x.first, high_x = *ends_x.second, low_y = *ends_y.first, high_y = *ends_y.second;
         std::int64_t count = 0;
-        const std::int64_t left = cell_of(*low_x - 1, 0), right = cell_of(*high_x + 1, 0), bottom = cell_of(*high_y + 1, 1);
-        for (std::int64_t row = cell_of(*low_y - 1, 1); row <= bottom; ++row) {
+        const std::int64_t left = cell_of(low_x - 1, 0), right = cell_of(high_x + 1, 0), bottom = cell_of(high_y + 1, 1);
+        for (std::int64_t row = cell_of(low_y - 1, 1); row <= bottom; ++row) {
             const std::int64_t end = starts_[size(row * cells_[0] + right + 1)];
             for (std::int64_t k = starts_[size(row * cells_[0] + left)]; k < end; ++k) {
                 // Written always, kept if near: a branch would be mispredicted half the time.
                 for (int c = 0; c < 5; ++c) memory[c * room + count] = of_points_[c][size(k)];
                 number[count] = static_cast<std::int32_t>(k);
-                const float x = memory[count], y = memory[room + count];
-                const float dx = x - std::min(std::max(x, *low_x), *high_x), dy = y - std::min(std::max(y, *low_y), *high_y);
+                const float x = of_points_[0][size(k)], y = of_points_[1][size(k)];
+                const float dx = x - std::min(std::max(x, low_x), high_x), dy = y - std::min(std::max(y, low_y), high_y);
                 count += dx * dx + dy * dy < 1.00001f;
             }
         }

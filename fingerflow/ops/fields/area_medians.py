@@ -28,8 +28,8 @@ _FRAMES = 8  # frames that have about the same known points
 _PAIRS = 1 << 20  # pairs of a point and a position in the frames computed at once
 
 _LATTICE = torch.from_numpy(limits.lattice())
-# Divergence and, over sqrt(2), the trace of the strain: orthonormal directions in the space of the five fields.
-_EXPANSION = torch.tensor(((1, 0, 0, 0, 0), (0, 0, 0.5**0.5, 0.5**0.5, 0)), dtype=torch.float64)
+# Change of the five fields by an isotropic expansion whose divergence is 1.
+_EXPANSION = torch.tensor(((1, 0, 0.5, 0.5, 0),), dtype=torch.float64)
 
 
 # Medians of divergence, curl and strain (B, 5), their standard deviations, and the share of each ellipse that is known.
@@ -60,9 +60,9 @@ def area_medians(
 
     A median is NaN where the field is known over less than 0.85 of the ellipse. A position is known if its fit
     satisfies the conditions of `local_gradients` and has points on all sides. Another position takes the fields of the
-    nearest one that is known, up to a distance of a quarter of a gauge length, and counts as known then. Of these
-    fields, the divergence and the trace of the strain take the values of planes that are fitted to those known within
-    a gauge length, unless the nearest position has the fields of a point that entered.
+    nearest one that is known, up to a distance of a quarter of a gauge length, and counts as known then. Its
+    trace of the strain is that of a plane fitted to those known within a gauge length, the divergence differing by as
+    much, unless the nearest position has the fields of a point that entered.
 
     Args:
         reference: (1 or B, N, 2) reference positions in a length unit L.
@@ -222,18 +222,17 @@ def _with_rim(fields: Tensor, positions: Tensor, clear: Tensor, entered: Tensor)
     around them, and whether they are known then (B, 1, Q), as one of these is near enough.
 
     Points end before the border of the contact, and medians without its rim would be those of the inner part. There
-    the expansion of the skin falls steeply, so that it follows planes fitted within a gauge length. Rotation and shear
-    turn with the border: planes are less accurate for them than the values of the nearest position, as they are for the
-    expansion beside fields of points that `entered` (B, 1, Q), which count from another time.
+    the expansion falls steeply: the trace of the strain follows planes fitted within a gauge length, the divergence
+    changes by as much, exx and eyy by half of it. Rotation and shear turn with the border, and fields of points that
+    `entered` (B, 1, Q) count from another time: there the values of the nearest position are more accurate.
     """
-    expansion = constant_like(_EXPANSION, fields)
-    planes = fit_planes(positions / 2, expansion @ fields, positions / 2, clear, 2.0)
+    planes = fit_planes(positions / 2, sum_rows(fields[:, 2:4]), positions / 2, clear, 2.0)
     columns = torch.cat((fields, entered.to(fields.dtype)), dim=1).mT
     _, values, closest = _nearest_values(columns, clear, planes.weights * clear)
     beside, of_entered = values.split((_FIELDS, 1), dim=1)
-    change = torch.where(planes.known & (of_entered < 0.5), planes.value - expansion @ beside, 0.0)
+    change = torch.where(planes.known & (of_entered < 0.5), planes.value - sum_rows(beside[:, 2:4]), 0.0)
     within = clear | (closest > (1 - limits.SAME_PLACE**2 / 4) ** 2)
-    return torch.where(clear, fields, beside + expansion.T @ change), within
+    return torch.where(clear, fields, beside + constant_like(_EXPANSION, fields).T * change), within
 
 
 def _nearest_values(values: Tensor, theirs: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
