@@ -22,7 +22,7 @@ _ORIENTATION = re.compile(
     rb"(?s)(?:Exif\0\0|eXIf|\A)(?:II\*\0.*?\x12\x01\x03\0\x01\0\0\0(.)|MM\0\*.*?\x01\x12\0\x03\0\0\0\x01\0(.))"
 )
 # A number in a name: a sign, unless behind a digit, decimals and an exponent, each if there is one.
-_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]\d+)?)")
+_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]\d{1,2})?)")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
