@@ -20,6 +20,7 @@ from fingerflow.schema.recipe import parse_recipe
 from fingerflow.schema.text_file import check_file, read_text
 
 _AGAIN = "export the bundle again, or copy its folder again"
+_MOST_BYTES = 1 << 31  # of a file, the most of an ONNX graph
 _MOST_FACTS = 1 << 26  # bytes of bundle.json, which has some 100 kB for 700 points
 _FILE_NAME = re.compile(r"(?!.*\.\.)\w[\w.+-]*(/\w[\w.+-]*)*")  # relative, below the folder on every system
 _COMPILED = (".pyc", ".so", ".pyd", ".dll", ".dylib")
@@ -122,7 +123,8 @@ def _check_hash(folder: Path, name: str, digest: str) -> None:
     """Raise FingerflowError if the file of this name has another SHA-256, or if the name leads out of the bundle."""
     if not _FILE_NAME.fullmatch(name):
         raise FingerflowError(f"{folder / 'bundle.json'}: {name[:80]!r} is no name of a file in its folder")
-    check_file(folder / name)
+    if (size := check_file(folder / name)) > _MOST_BYTES:
+        raise FingerflowError(f"{folder / name}: has {size} bytes, more than any file of a bundle")
     actual = hashlib.sha256((folder / name).read_bytes()).hexdigest()
     if actual != digest:
         raise FingerflowError(

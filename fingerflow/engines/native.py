@@ -151,13 +151,9 @@ class NativeEngine:
         return fit.gradient, fit.covariance
 
     def fields(
-        self,
-        reference: Array,
-        displacement: Array,
-        ellipse: FrameEllipse,
-        covariance: Array | None = None,
+        self, reference: Array, displacement: Array, ellipse: FrameEllipse, covariance: Array | None = None,
         entered: EnteredPoints | None = None,
-    ) -> FrameFields:
+    ) -> FrameFields:  # fmt: skip
         points, (batch, count) = (reference[None], displacement, covariance), displacement.shape[:2]
         gradient, spread, sharp = self._gradients(*points, entered)
         noise = None if covariance is None else np.float32(SHARPENED_NOISE) * covariance

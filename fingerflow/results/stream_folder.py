@@ -191,10 +191,10 @@ class Sink:
         """Continue in another folder, with all results until now, if this one was removed, renamed or unmounted."""
         assert self._records is not None
         assert self._events is not None
-        if self._records.is_in_place() and self._events.is_in_place():
+        if self._records.is_in_place() and self._events.is_in_place() and (self.folder / "header.json").exists():
             return
         gone, self._numbered = self.folder, True
-        for parent in (gone.parent, Path.cwd(), Path(tempfile.gettempdir())):
+        for parent in (gone.parent, Path(), Path(tempfile.gettempdir())):
             self.folder = parent / f"{gone.name}-moved"
             with contextlib.suppress(OSError):
                 self._make()

@@ -193,8 +193,8 @@ class Draft:
         if path.exists():
             # This raises an error for a result or a recording, which a scene never replaces.
             content = read_text(path, _REMEDY)
-            if path != self.path:
-                _parsed(content, path)
+            if path != self.path and "views" not in _parsed(content, path):
+                raise FingerflowError(f"{path}: is no scene file, which has [views]; name another file")
             if not replace and (path != self.path or content != self._stored):
                 raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
         write_text(path, text)

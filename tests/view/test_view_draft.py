@@ -56,24 +56,24 @@ def test_what_was_changed_elsewhere_meanwhile_is_replaced_with_leave_alone(press
     draft.write(replace=True)
     assert load_scene(path).contact.median_px == 5
     other = press / "notes.toml"
-    other.write_text("mine = 1", encoding="utf-8")
+    other.write_text("views = 1", encoding="utf-8")
     with pytest.raises(NeedsLeaveError):
         draft.write(other)
     with pytest.raises(FingerflowError, match="is an input"):
         draft.write(press / "forces.csv", replace=True)
-    assert other.read_text(encoding="utf-8") == "mine = 1"
+    assert other.read_text(encoding="utf-8") == "views = 1"
 
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [("result.h5", b"\x89HDF\r\n"), ("a.csv", b"frame,time (s)\n0,0\n"), ("other.npy", b"\x93NUMPY"), ("store", None)],
+    [("result.h5", b"\x89HDF\r\n"), ("a.csv", b"frame,time (s)\n0,0\n"), ("study.toml", b"[study]"), ("store", None)],
 )
 def test_a_scene_replaces_no_file_of_another_kind(press: Path, name: str, content: bytes | None) -> None:
     draft, other = Draft.read(press / "scene.toml"), press / name
     other.mkdir() if content is None else other.write_bytes(content)
     (press / "link.toml").symlink_to(other)
     for path in (other, press / "link.toml"):
-        with pytest.raises(FingerflowError, match=r"not valid TOML|is not UTF-8 text|is a folder"):
+        with pytest.raises(FingerflowError, match=r"not valid TOML|is not UTF-8 text|is a folder|is no scene"):
             draft.write(path, replace=True)
     assert other.is_dir() if content is None else other.read_bytes() == content
 

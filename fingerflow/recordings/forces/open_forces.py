@@ -43,14 +43,10 @@ Column = str | int
 
 
 def open_forces(
-    path: str | PathLike[str],
-    channels: Sequence[Column] | Mapping[str, Column] | None = None,
-    units: Mapping[str, str] | Mapping[int, str] | Mapping[Column, str] | None = None,
-    time: Column | None = None,
-    sample_rate: float | None = None,
-    trigger: Column | None = None,
-    lengths: Collection[Column] = (),
-) -> Forces:
+    path: str | PathLike[str], channels: Sequence[Column] | Mapping[str, Column] | None = None,
+    units: Mapping[str, str] | Mapping[int, str] | Mapping[Column, str] | None = None, time: Column | None = None,
+    sample_rate: float | None = None, trigger: Column | None = None, lengths: Collection[Column] = (),
+) -> Forces:  # fmt: skip
     """Read a force file and convert forces to N, times to s, voltages to V and positions to m.
 
     Columns are named, or numbered from 1 in the order of the file.

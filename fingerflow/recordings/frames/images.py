@@ -1,5 +1,6 @@
 """Reader of a folder of images, ordered by number, or of a single image, as a recording."""
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ _ORIENTATION = re.compile(
     rb"(?s)(?:Exif\0\0|eXIf|\A)(?:II\*\0.*?\x12\x01\x03\0\x01\0\0\0(.)|MM\0\*.*?\x01\x12\0\x03\0\0\0\x01\0(.))"
 )
 # A number in a name: a sign, unless behind a digit, decimals and an exponent, each if there is one.
-_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]\d+)?)")
+_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]\d{1,2})?)")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
@@ -131,7 +132,11 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
         unlike = (
             f"names of images, from {files[0].name} to {files[-1].name}, differ in more than numbers: check the order"
         )
-        return list(files), (unlike,) if len({_NUMBER.sub("", file.stem) for file in files}) > 1 else ()
+        several = f"images from {files[0].name} to {files[-1].name} count twice: leave those of one camera or run there"
+        counts = [len(set(column)) for column in zip(*(_NUMBER.findall(file.stem) for file in files), strict=False)]
+        if len({_NUMBER.sub("", file.stem) for file in files}) > 1:
+            return list(files), (unlike,)
+        return list(files), (several,) if len(files) == math.prod(counts) > max(counts, default=0) else ()
     whole = all(number == int(number) for number in numbers)
     decimals = (
         f"the names of the images, as {files[0].name}, have decimal numbers, which order them: if these are times, "

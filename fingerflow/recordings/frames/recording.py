@@ -68,11 +68,9 @@ class FrameFile:
     """
 
     def __init__(
-        self,
-        description: Description,
-        frames: Frames | Callable[[int], Frames] | None,
+        self, description: Description, frames: Frames | Callable[[int], Frames] | None,
         close_file: Callable[[], None] = lambda: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises
         why it cannot. `close_file` closes the file.
         """

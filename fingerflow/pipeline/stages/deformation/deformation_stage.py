@@ -33,6 +33,7 @@ from fingerflow.tracker.onset import Touches, Touching
 from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
 
 Points = NDArray[np.float64]
+Numbers = NDArray[np.intp]
 
 
 class DeformationStage(Stage):
@@ -272,13 +273,13 @@ class DeformationStage(Stage):
                 values[:] = np.interp(frames, number, variance)
         return result
 
-    def tracked_variance(self, indices: NDArray[np.intp], name: str) -> NDArray[np.float32]:
+    def tracked_variance(self, indices: Numbers, name: str) -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
         is the result variable of the standard deviation.
         """
         return (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
 
-    def _skin(self, frames: NDArray[np.intp]) -> SkinFrames:
+    def _skin(self, frames: Numbers) -> SkinFrames:
         """Return the tracked points in n frames."""
         whole, noise = (self.results[f"position_{of}_px"][frames] ** 2 for of in ("std", "noise"))
         position, covered = self.steady_position(frames), self.results["in_contact"][frames]
@@ -350,7 +351,7 @@ class DeformationStage(Stage):
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return moved, noise
 
-    def _entered_unseen(self, position: Points, displacement: Points, indices: NDArray[np.intp]) -> Points:
+    def _entered_unseen(self, position: Points, displacement: Points, indices: Numbers) -> Points:
         """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
         which may have touched earlier or later than was seen.
 
@@ -376,12 +377,12 @@ class DeformationStage(Stage):
         noise = select_frames(self.results["position_noise_px"], frames)
         return steady(select_frames(self.results["position"], frames), self._shaken[frames]), self.mm_per_px * noise
 
-    def steady_position(self, indices: NDArray[np.intp]) -> Points:
+    def steady_position(self, indices: Numbers) -> Points:
         """Return the positions (n, N, 2) mm of the points in n frames, without the vibration of the image."""
         return steady(self.results["position"][indices], self._shaken[indices, None])
 
 
-def _runs(frames: int) -> list[NDArray[np.intp]]:
+def _runs(frames: int) -> list[Numbers]:
     """Split the frame indices 0 to `frames` - 1 into arrays of `FRAMES_READ` consecutive indices."""
     return [np.arange(first, min(first + FRAMES_READ, frames)) for first in range(0, frames, FRAMES_READ)]
 

@@ -17,6 +17,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
 
+Series = NDArray[np.float64]
 Array = NDArray[Any]
 
 # Median length of a vector whose two components have a standard deviation of 1.
@@ -138,7 +139,7 @@ class DenseFlowSlipStage(SlipStage):
         self._flow_deviation[frame] = math.sqrt(float(np.nanmedian(cells[grid.known, 2])))
         self._compare(frame, moved, _sampled(both, pixels))
 
-    def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
+    def _compare(self, frame: int, moved: Series, flow: Field) -> None:
         """Store by how much the dense flow differs from the displacements `moved` (N, 2) mm of points in a frame:
         median and 95 % quantile in mm, and median in standard deviations.
 
@@ -162,7 +163,7 @@ class DenseFlowSlipStage(SlipStage):
     def _measured(self, frames: Any) -> Array:
         return self._motion(frames)
 
-    def _point_displacement(self, motion: Array, grid: SlipGrid) -> NDArray[np.float64]:
+    def _point_displacement(self, motion: Array, grid: SlipGrid) -> Series:
         return np.asarray(grid.sample_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
 
     def _cell_displacement(self, motion: Array, grid: SlipGrid) -> Field:
@@ -178,7 +179,7 @@ class DenseFlowSlipStage(SlipStage):
         filled[~grid.known] = 0
         return filled
 
-    def _seen(self, motion: Array, grid: SlipGrid) -> NDArray[np.float64]:
+    def _seen(self, motion: Array, grid: SlipGrid) -> Series:
         positions = grid.centers + motion
         return positions[np.isfinite(positions).all(-1)]
 

@@ -16,6 +16,8 @@ from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask
 
+Series = NDArray[np.float64]
+
 ROUGHNESS = 0.2  # roughness for `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
 _TEXTURE_PX = 17  # px, side of the window over which texture is measured: one period of the ridges
 # Largest residual as a share of the standard deviation of texture: an error of 0.8 px at a ridge has it; correct flow
@@ -203,7 +205,7 @@ def flow_response(template: FlowTemplate, image: Tensor, mask: Mask, mm_per_px: 
     blur = excess[measured] / growth * mm_per_px
     distances = distances[measured] * mm_per_px
 
-    def response(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def response(distance: Series) -> Series:
         return np.maximum(distance, 0) + (np.interp(distance, distances, blur, left=0.0) if len(blur) else 0.0)
 
     return response
@@ -211,8 +213,8 @@ def flow_response(template: FlowTemplate, image: Tensor, mask: Mask, mm_per_px: 
 
 def _blur(
     template: FlowTemplate, image: Tensor, length: Field, mask: NDArray[np.bool_], beyond: Field,
-    distances: NDArray[np.float64], axis: int,
-) -> NDArray[np.float64]:  # fmt: skip
+    distances: Series, axis: int,
+) -> Series:  # fmt: skip
     """Return the mean error (K,) px of dense flow at `distances` (K,) px beyond a border, measured on the image after
     shifting each pixel along `axis` by a known `length` (H, W) px.
 

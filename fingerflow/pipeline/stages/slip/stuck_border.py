@@ -12,6 +12,8 @@ from fingerflow.models.partial_slip.stick_border import BorderFit, RampResponse,
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 
+Series = NDArray[np.float64]
+
 # mm, largest level at the border; a higher one is not distinguishable from the displacement beside the border.
 _LARGEST_MM = 0.08
 FOLLOWED_MM = 0.02  # mm, displacement of the contour along which displacements are averaged: far above their noise
@@ -71,7 +73,7 @@ class StuckBorder:
         self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # mm, widths of the annulus
         self._of_width = np.zeros(200)  # mm, level for each width
 
-    def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
+    def gather(self, moved: Series, displacement: Field, region: Mask) -> None:
         """Add the displacements in one frame to the fit of the stick region's border.
 
         Args:
@@ -159,7 +161,7 @@ class StuckBorder:
             return
         self.level = level
 
-    def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
+    def stuck(self, moved: Series, displacement: Field, region: Mask) -> Mask:
         """Return the stick region of one frame as a mask on the fine grid, given the displacements of points and cells
         and the contact region (arguments as for `gather`).
         """
@@ -219,7 +221,7 @@ class Length:
         self._grid, self._limit, self._relative = grid, limit_mm, relative
         self._held: Mask | None = None  # (N,) points that stuck in all frames so far
 
-    def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
+    def stuck(self, moved: Series, displacement: Field, region: Mask) -> Mask:
         """Return the stick region of one frame as a mask on the fine grid, given the displacements of points and cells
         and the contact region (arguments as for `StuckBorder.gather`).
         """

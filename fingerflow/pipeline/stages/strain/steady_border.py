@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.result_records import FrameEllipse
 
+Series = NDArray[np.float64]
+
 # mm, unit of the distance between borders: a border at a ridge period of 0.45 mm has a third of the weight.
 _NEAR_MM = 0.3
 _SECONDS, _FRAMES = 0.1, 64  # largest time (s) and number of frames before and after a frame that are fitted together
@@ -18,7 +20,7 @@ _DEGREE = 2  # degree of the polynomials in time
 _ROUGH_MM = 0.025  # standard deviation of the mean radius about its polynomial above which the border is as measured
 
 
-def steady_border(border: FrameEllipse, times: NDArray[np.float64]) -> FrameEllipse:
+def steady_border(border: FrameEllipse, times: Series) -> FrameEllipse:
     """Return the ellipses of the contact border, smoothed by local fits over the times (n,) s of their frames; NaN
     where they are NaN.
 
@@ -46,9 +48,7 @@ def steady_border(border: FrameEllipse, times: NDArray[np.float64]) -> FrameElli
     return FrameEllipse(fitted[:, :2], axes, angle)
 
 
-def _fit_over_time(
-    values: NDArray[np.float64], positions: NDArray[np.float64], times: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fit_over_time(values: Series, positions: Series, times: Series) -> tuple[Series, Series]:
     """Return `values` (n, V) smoothed over time, and their standard deviations (n, V) about the fits: each is fitted by
     a polynomial to the values at `times` (n,) less than 1 away, those with near `positions` (n, P) having more weight.
     """

@@ -29,6 +29,7 @@ from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import MOST_FRAMES, Points, join
 
+Numbers = NDArray[np.intp]
 Values = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
@@ -75,7 +76,7 @@ class TrackingStage(Stage):
         self._matrix = self._to_contact.astype(np.float32)
         self._seeded: list[Points] = []
         # For each set of points: indices (A,) of earlier points that guide it.
-        self._around: list[NDArray[np.intp]] = []
+        self._around: list[Numbers] = []
         self._density = 0.0  # points per px of the first seeding region
         self._new_skin: NewSkin | None = None
         self._full = False  # True if no more points may be seeded
@@ -125,7 +126,7 @@ class TrackingStage(Stage):
                 for points in self._seeded:
                     points.pass_over(len(indices))
 
-    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: Values) -> None:
+    def _step_through(self, images: Images, indices: Numbers, margin: Values) -> None:
         groups: list[TrackedPoints] = []
         curved: list[NDArray[np.float32]] = []
         motion = _motion(self._seeded) if self._seeded else None
@@ -226,7 +227,7 @@ class TrackingStage(Stage):
         return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
 
     def _start_tracking(
-        self, images: Images, points: NDArray[Any], others: TrackedPoints | None, near: NDArray[np.intp], *more: Any
+        self, images: Images, points: NDArray[Any], others: TrackedPoints | None, near: Numbers, *more: Any
     ) -> TrackedPoints:
         """Track newly seeded points (N, 2) px from the first of the n images on, and return their results (n, N).
 
