@@ -7,9 +7,8 @@ bit for bit.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,8 +37,8 @@ _CODE = (
     "engines", "export", "graphs", "kernels", "models", "ops", "pipeline/stages", "recordings", "results", "schema",
     "tracker",
 )  # fmt: skip
-WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
-_SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file
+WHOLE_BYTES = 16 << 20  # bytes, size up to which the files of a recording are digested as a whole
+_SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of larger ones
 
 
 class StageKey(NamedTuple):
@@ -203,12 +202,8 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
 
 
 def _written(path: Path) -> str:
-    """Return a digest of the files of a recording, of which "::" names a member: of what `content` yields, and of the
-    time of modification of files of which that is a part.
-    """
-    files = files_of(Path(str(path).partition("::")[0]))
-    large = [file.stat().st_mtime_ns for file in files if file.stat().st_size > WHOLE_BYTES]
-    return digest_of_bytes(chain([str(large).encode()], *map(content, files)))
+    """Return a digest of the files of a recording, of which "::" names a member."""
+    return digest_of_bytes(content(files_of(Path(str(path).partition("::")[0]))))
 
 
 def files_of(file: Path) -> list[Path]:
@@ -219,15 +214,20 @@ def files_of(file: Path) -> list[Path]:
     return sorted(path for path in beside if path.stem == file.stem and path.suffix.lower() in _IN_TWO) or [file]
 
 
-def content(file: Path) -> Iterator[bytes]:
-    """Yield name and size of a file as bytes, then its content; of a large file only evenly spaced samples."""
-    size = check_file(file)
-    samples, most = (_SAMPLES, _SAMPLE_BYTES) if size > WHOLE_BYTES else (1, size)
-    yield f"{file.name} {size} ".encode()
-    with file.open("rb") as opened:
-        for number in range(samples):
-            opened.seek(round(number * (size - most) / (_SAMPLES - 1)))
-            yield opened.read(most)
+def content(files: Sequence[Path]) -> Iterator[bytes]:
+    """Yield name and size of each file as bytes, then its content; of more than `WHOLE_BYTES` in all the times of
+    modification and evenly spaced samples.
+    """
+    sizes = [check_file(file) for file in files]
+    large = sum(sizes) > WHOLE_BYTES
+    samples = max(_SAMPLES // len(sizes), 2) if large else 1
+    for file, size in zip(files, sizes, strict=True):
+        most = min(size, _SAMPLE_BYTES) if large else size
+        yield f"{file.name} {size} {large and file.stat().st_mtime_ns} ".encode()
+        with file.open("rb") as opened:
+            for number in range(samples):
+                opened.seek(number * (size - most) // max(samples - 1, 1))
+                yield opened.read(most)
 
 
 @cache

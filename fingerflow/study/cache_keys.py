@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.reuse import WHOLE_BYTES, code_version, content, files_of
+from fingerflow.pipeline.reuse import code_version, content, files_of
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.schema.scene import Scene
 from fingerflow.study.dotted_keys import flattened
@@ -26,8 +26,7 @@ class InputFile:
         path: as it was found.
         size: bytes; of a folder the sum over its files.
         modified: ns; of a folder the latest.
-        digest: of its bytes; of a file above 16 MB, of its size and 64 evenly spaced samples of 4 kB. A change that
-            keeps the size and misses the samples is detected by `modified` alone.
+        digest: of names, sizes and bytes; above 16 MB of names, sizes, times of modification and samples.
         state: digest of inode and change time of each file, which a file put in its place does not have, even with the
             same size and modification time.
     """
@@ -51,10 +50,10 @@ class Keys:
 
     def changed_inputs(self, now: "Keys") -> list[str]:
         """Return the scene-file keys, such as `recording.frames`, of the input files that differ between these cache
-        keys and `now` by `same_content`, or that only one of the two lists.
+        keys and `now` by digest, or that only one of the two lists.
         """
         before, after = self.inputs, now.inputs
-        same = {name for name in before.keys() & after if same_content(before[name], after[name])}
+        same = {name for name in before.keys() & after if before[name].digest == after[name].digest}
         return [name for name in {**before, **after} if name not in same]
 
 
@@ -88,18 +87,10 @@ def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
         state = digest_of(*((part.name, fact.st_ino, fact.st_ctime_ns) for part, fact in facts))
         if earlier is not None and (earlier.size, earlier.modified, earlier.state) == (size, modified, state):
             return InputFile(str(path), size, modified, earlier.digest, state)
-        digest = digest_of_bytes(chain([member.encode()], *(content(part) for part, _ in facts)))
+        digest = digest_of_bytes(chain([member.encode()], content([part for part, _ in facts])))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
     return InputFile(str(path), size, modified, digest, state)
-
-
-def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if an input file is unchanged: size and digest are equal before and now and, if the digest covers
-    only samples of a large file, so is the modification time.
-    """
-    unchanged = (before.size, before.digest) == (now.size, now.digest)
-    return unchanged and (before.modified == now.modified or now.size <= WHOLE_BYTES)
 
 
 @cache

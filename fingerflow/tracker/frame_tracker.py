@@ -137,7 +137,7 @@ class FrameOutcome:
     images: dict[str, Images]
     threshold: float
     points: TrackedPoints | None = None
-    pull: Array | None = None
+    pull: Any = None
     measured: float | None = None
     contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
@@ -325,7 +325,7 @@ class StreamTracker:
         # The results do not use the mask, the largest part of a contact.
         contact = join([each._replace(real_contact_mask=None) for each in contacts])
         try:
-            pull = np.concatenate([outcome.pull for outcome in outcomes if outcome.pull is not None])
+            pull = np.concatenate([outcome.pull for outcome in outcomes])
             results = self.results.compute(seeding, contact, join(tracked), pull)
         except Exception:  # some frames may have been counted: what is measured from the onset is unknown from here on
             begun = seeding._replace(before=None)

@@ -187,7 +187,7 @@ class Points:
         """
         positions = tracked.points if around is None else np.concatenate((tracked.points, around.points), axis=1)
         variance = self._curvature.update(positions)[:, : len(self)]
-        variance[len(variance) - len(self.pull) :] += self.pull
+        variance[-len(self.pull) :] += self.pull
         return variance
 
     def _update_templates(self) -> None:

@@ -87,8 +87,9 @@ class StrainStage(Stage):
         self._since = moved.reference_of.attributes(self.first_frame)
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
-        principal = {"principal_strains", "principal_angle"} & self.trial.requested
-        for name in ("strain", "strain_std", "strain_energy_density", "strain_energy_density_std", *sorted(principal)):
+        self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
+        density = "strain_energy_density", "strain_energy_density_std"
+        for name in ("strain", "strain_std", *density, *sorted(self._principal)):
             self.results.create(name, self._since if "energy" in name else measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
         corners = torch.from_numpy(skin.corners).long()
@@ -135,7 +136,7 @@ class StrainStage(Stage):
         density_std = strain_energy_density_std(corrected.strain, stated.strain_std, *self._elastic)
         values = {"strain": corrected.strain, "strain_std": stated.strain_std}
         values |= {"strain_energy_density": corrected.density, "strain_energy_density_std": density_std}
-        if {"principal_strains", "principal_angle"} & self.trial.requested:
+        if self._principal:
             values["principal_strains"], values["principal_angle"] = principal_strains(corrected.strain)
         for name, computed in values.items():
             if name in self.results:
@@ -191,7 +192,7 @@ class StrainStage(Stage):
         # Tracking corrects for the second derivatives of the displacement within a window. The fourth ones are left.
         blur = np.nan_to_num(self._window_mm / (2 * border.semi_axes.min(1))) ** 4
         errors = (between_std, self._missing.add_frames(density, touching), strip, blur * between)
-        deviation = np.sqrt(sum(np.square(error) for error in errors))
+        deviation = np.linalg.norm(errors, axis=0)
         self._between[frames], self._between_std[frames] = between, deviation
         rim = border_energy * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
