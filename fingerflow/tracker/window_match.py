@@ -73,8 +73,7 @@ def deformed_alike(
         slopes = []
         for along in np.array([[_BESIDE, 0.0], [0.0, _BESIDE]], np.float32):
             ahead = sample(number, positions + along, warp)
-            behind = sample(number, positions - along, warp)
-            slopes.append((ahead - behind) / (2 * _BESIDE))
+            slopes.append((ahead - sample(number, positions - along, warp)) / (2 * _BESIDE))
         by_warp = np.concatenate([slope[..., None] * steps for slope in slopes], -1)
         unknown = np.concatenate((by_warp, -first[..., None], -constant), -1)
         valid = (np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1)).nonzero()[0]
@@ -107,8 +106,7 @@ def shifted_alike(first: Array, sample: Sampler, number: Array, positions: Array
     deviations, excluded = np.zeros((2, count))
     fit: Shifts = np.zeros((count, 2)), np.ones(first.shape), deviations, excluded
     for _ in range(_SHIFT_ROUNDS):
-        here = sample(number, positions + fit[0].astype(np.float32), warp)
-        fit = fit_shifts(first, around, here, *fit[:2], noise)
+        fit = fit_shifts(first, around, sample(number, positions + fit[0].astype(np.float32), warp), *fit[:2], noise)
     return fit
 
 

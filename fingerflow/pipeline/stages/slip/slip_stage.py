@@ -201,8 +201,7 @@ class SlipStage(Stage):
         The contact border is known to half of the ridge distance, so the region of a contact that is cut may end by as
         much before the edge.
         """
-        contact = self.inputs.scene.contact
-        inner = max(1, math.ceil(contact.gross_radius_px / self.trial.stage(ContactStage).cell_px))
+        inner = max(1, math.ceil(self.inputs.scene.contact.gross_radius_px / self.trial.stage(ContactStage).cell_px))
         return bool(region.sum() > region[inner:-inner, inner:-inner].sum())
 
     def finish(self) -> None:
