@@ -204,5 +204,4 @@ class Deformation:
         curl_std = np.sqrt(fields.curl_std**2 + of_fields[:, 1])
         assert fields.median_std is not None
         variance = np.square(fields.median_std) + ranks
-        fields = fields._replace(divergence_std=divergence_std, curl_std=curl_std)
-        return fields, variance, np.array(course)[latest]
+        return fields._replace(divergence_std=divergence_std, curl_std=curl_std), variance, np.array(course)[latest]

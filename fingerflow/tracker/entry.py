@@ -294,9 +294,9 @@ class Entries:
         """Return a warning if the whole image vibrates in the kept frames; safe in any thread."""
         frames = self._frames
         order = np.arange(max(frames - self.KEPT + 8, 0), frames) % self.KEPT  # the oldest are written meanwhile
-        kept = self._position[order], self._covered[order]
         counted = "displacement and strain contain this motion"
-        return vibration(*kept, np.arange(len(order)), mm_per_px, counted)[1] if frames else []
+        kept = np.arange(len(order))
+        return vibration(self._position[order], self._covered[order], kept, mm_per_px, counted)[1] if frames else []
 
     def learn_errors(self, faint_mm: float) -> None:
         """Compute the errors of the times of onset of the points that have touched in the last 16 frames, as the motion

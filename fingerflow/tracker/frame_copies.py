@@ -28,24 +28,25 @@ class StaleViews:
 
     def __init__(self) -> None:
         self._before: FrameKey = ()
-        self._frames = Counter[str]()  # of each stale view
+        self._compared = -1  # number of frames that were compared with the one before
+        self.frames = Counter[str]()  # in which each view was stale
 
     def update(self, key: FrameKey) -> bool:
-        """Return whether a view is stale in the next frame, which has this key."""
-        same = [now == before != b"" for now, before in zip(key, self._before, strict=False)]
-        stale = any(same) and key != self._before
-        if stale:
-            self._frames[_VIEWS[same.index(True)]] += 1
-        self._before = key
-        return stale
+        """Return whether a view that was not stale in all frames so far is so in the next one, which has this key."""
+        views = zip(_VIEWS, key, self._before, strict=False)
+        same = {view for view, now, before in views if now == before != b""}
+        stale = same if key != self._before else set()
+        self.frames.update(stale)
+        self._before, self._compared = key, self._compared + 1
+        return any(self.frames[view] < self._compared for view in stale)
 
     def warnings(self) -> list[str]:
         """Return a warning for each view that was stale; safe in any thread."""
         return [
             f"the {view} view repeats its picture while the other view goes on, in {frames} frames: its camera stands "
-            f"still or is slower. No result counts these frames. Check its rate, trigger and cable"
+            f"still or is slower, and points or contact are of an earlier moment. Check its rate, trigger and cable"
             f"{', or leave it out to measure contact alone' * (view == 'topography')}"
-            for view, frames in [*self._frames.items()]
+            for view, frames in [*self.frames.items()]
         ]
 
 

@@ -75,6 +75,5 @@ class SizesOnGlass:
         half = jacobian @ turn.reshape(-1, 2, 2) * axes[:, None]
         moments = half @ half.swapaxes(1, 2)
         xx, xy, yy = moments[:, 0, 0], moments[:, 0, 1], moments[:, 1, 1]
-        reach = np.hypot((xx - yy) / 2, xy)
-        squares = (xx + yy)[:, None] / 2 + reach[:, None] * (1, -1)
+        squares = (xx + yy)[:, None] / 2 + np.hypot((xx - yy) / 2, xy)[:, None] * (1, -1)
         return means[:, 0], center + shift, np.sqrt(np.maximum(squares, 0)), np.arctan2(2 * xy, xx - yy) / 2

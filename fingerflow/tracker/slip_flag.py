@@ -124,8 +124,7 @@ def rim_motion(before: Array, after: Array) -> tuple[float, float]:
         equations[row] = pivot
     _, a, b, e, d = equations[:, 5].tolist()
     mean = complex(np.add.reduce(moved)) / count
-    ahead = (e * mean.conjugate()).real / abs(mean) if mean else 0.0
-    return ahead, math.hypot(abs(a + d), abs(b))
+    return (e * mean.conjugate()).real / abs(mean) if mean else 0.0, math.hypot(abs(a + d), abs(b))
 
 
 def rigid_residual_rms(before: Array, after: Array) -> float:

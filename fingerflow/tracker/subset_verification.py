@@ -89,8 +89,10 @@ class Verification:
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
         finite = np.sort(loss[np.isfinite(loss)])
-        usual = _USUAL * finite[(len(finite) - 1) // 2] if len(finite) else 0.0
-        limit = np.clip(usual, _ALIKE, _MOST) + _NOISE * noise_part
+        limit = (
+            np.clip(_USUAL * finite[(len(finite) - 1) // 2] if len(finite) else 0.0, _ALIKE, _MOST)
+            + _NOISE * noise_part
+        )
         suspect = (loss > limit).nonzero()[0]
         if len(suspect):
             # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the

@@ -106,8 +106,7 @@ def shifted_alike(first: Array, sample: Sampler, number: Array, positions: Array
     deviations, excluded = np.zeros((2, count))
     fit: Shifts = np.zeros((count, 2)), np.ones(first.shape), deviations, excluded
     for _ in range(_SHIFT_ROUNDS):
-        here = sample(number, positions + fit[0].astype(np.float32), warp)
-        fit = fit_shifts(first, around, here, *fit[:2], noise)
+        fit = fit_shifts(first, around, sample(number, positions + fit[0].astype(np.float32), warp), *fit[:2], noise)
     return fit
 
 

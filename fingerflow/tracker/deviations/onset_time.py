@@ -77,8 +77,7 @@ def onset_errors(
     # The square of a measured speed is too large by the variance of the speed, which follows from those of both
     # positions.
     noise = (deviation[::2] ** 2).sum(0) / 2 / both**2
-    square = (speed**2).sum(1)
-    share = np.minimum(np.maximum(1 - 2 * noise / np.maximum(square, 1e-30), 0), 1)
+    share = np.minimum(np.maximum(1 - 2 * noise / np.maximum((speed**2).sum(1), 1e-30), 0), 1)
     speed = np.where(np.isfinite(share), np.sqrt(share), 0.0)[:, None] * speed
     depth = border.select(around.flatten()).inside(position.reshape(-1, 1, 2)).reshape(around.shape)
     # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
@@ -87,8 +86,7 @@ def onset_errors(
     # Not more than a deviation of the difference of two depths slower than measured.
     sides = depth[1:] - depth[:-1] + np.sqrt(2) * ELLIPSE_MM
     slower = np.fmin(*np.where(steps > 0, sides / np.maximum(steps, 1), np.inf))
-    approach = np.where(advected, along, np.maximum(slower, BORDER_MM / reach))
-    slowest = np.fmax(frames_per_mm, 1 / approach)
+    slowest = np.fmax(frames_per_mm, 1 / np.where(advected, along, np.maximum(slower, BORDER_MM / reach)))
     variance = np.where(counts, _crossing_variance(slowest) + (faint_mm * slowest) ** 2, 0.0)
     share = np.minimum(_crossing_variance(frames_per_mm) / np.maximum(variance, 1e-30), 1)
     of_speed = speed[:, :, None] * speed[:, None, :] + _LEAST * _ALIKE

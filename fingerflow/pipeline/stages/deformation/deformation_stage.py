@@ -156,8 +156,7 @@ class DeformationStage(Stage):
         # time between frames; whole frames, of the coverage alone, are off by more: measured on real prints.
         variance = np.where(self.onset_variance > 0, 0.12 + 2.1 * self.onset_variance, np.nan)
         self.results.put("onset_frame_std", np.sqrt(variance))
-        covered = np.isfinite(self.reference).all(1)
-        entry = np.where(moves_in, ENTRY.index("entered"), covered)
+        entry = np.where(moves_in, ENTRY.index("entered"), np.isfinite(self.reference).all(1))
         self.results.put("entry", np.where(self._inside, ENTRY.index("seeded_inside"), entry).astype(np.uint8))
         self.results.put("reference_position", self.reference, self._attributes)
         for name in ("displacement", "displacement_std"):

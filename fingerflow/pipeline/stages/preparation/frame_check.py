@@ -111,7 +111,7 @@ class FrameCheckStage(Stage):
                 f"{self.inputs.recording.path}: the decoder reported errors at {_listed(numbers)} "
                 f"({doubtful[min(doubtful)]}); their pixels may be wrong: copy the file again"
             )
-        if (status == USABLE).sum() <= bool(causes):
+        if not (status == USABLE).any() or len(status) - 1 in views.frames.values():
             counts = "; ".join(causes) or ", ".join(f"{len(frames)} {meaning}" for meaning, frames in faults)
             raise FingerflowError(
                 f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "

@@ -21,9 +21,8 @@ def rate(values: Values, times: Values, window_s: float, of_std: bool = False) -
         return result.reshape(values.shape)
     weights = _slope_weights(length // 2) ** power
     for column in range(flat.shape[1]):
-        finite = np.isfinite(flat[:, column])
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], finite.astype(np.int8), [0]))))
-        for start, end in edges.reshape(-1, 2):
+        finite = np.isfinite(flat[:, column]).astype(np.int8)
+        for start, end in np.flatnonzero(np.diff(np.concatenate(([0], finite, [0])))).reshape(-1, 2):
             if end - start >= length:
                 result[start:end, column] = _filtered(flat[start:end, column] ** power, weights) ** (1 / power) / step
     return result.reshape(values.shape)

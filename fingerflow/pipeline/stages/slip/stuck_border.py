@@ -179,8 +179,7 @@ class StuckBorder:
         radius = np.sqrt(contact.sum() / np.pi) * self._grid.fine_mm
         at_border = np.interp(radius * (1 - np.sqrt(np.minimum(share, 1))), self._widths, self._of_width)
         first = int(np.argmax(levels >= at_border)) if (levels >= at_border).any() else len(levels) - 1
-        width = radius * (1 - math.sqrt(min(float(share[first]), 1)))
-        clear, beyond = self._clear(float(levels[first]), width)
+        clear, beyond = self._clear(float(levels[first]), radius * (1 - math.sqrt(min(float(share[first]), 1))))
         held = inside & (length < max(FOLLOWED_MM, self.followed))
         slow = held & (component < clear)
         # A low level applies to a narrow annulus at the rim. A hole that does not reach the rim is no annulus: below

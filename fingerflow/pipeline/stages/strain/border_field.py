@@ -106,8 +106,7 @@ class BorderFunctions:
             # In units of s, so that the prior of these coefficients is 1.
             normal[:, smooth:functions] *= at_border[:, None, None]
             normal[:, :, smooth:functions] *= at_border[:, None, None]
-        numbers = 2 * (weight > 0).sum(1)
-        noise, evidence = _find_scales(normal, numbers, smooth)
+        noise, evidence = _find_scales(normal, 2 * (weight > 0).sum(1), smooth)
         inverse = np.linalg.inv(normal[:, :functions, :functions])
         if at_border is not None:
             inverse[:, smooth:] *= at_border[:, None, None]

@@ -115,8 +115,7 @@ class ContactEnergy:
         if len(frames):
             here = np.flatnonzero(counts[frames].any(0))
             at = np.ix_(frames, here)
-            data = position[at], displacement[at], of_point[at], counts[at]
-            points = _Points.gather(*data, border.select(frames))
+            points = _Points.gather(position[at], displacement[at], of_point[at], counts[at], border.select(frames))
             energies = self._energies(points, since_growth(frames)[:, here], depth[at])
             for values, of_some in zip(result, energies, strict=True):
                 values[frames] = of_some

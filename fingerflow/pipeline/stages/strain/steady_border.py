@@ -44,8 +44,7 @@ def steady_border(border: FrameEllipse, times: Series) -> FrameEllipse:
     middle, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     positive = (middle > half)[:, None]
     axes = np.sqrt(np.where(positive, np.stack((middle + half, middle - half), axis=1), border.semi_axes**2))
-    angle = np.where(positive[:, 0], np.arctan2(2 * xy, xx - yy) / 2, border.angle)
-    return FrameEllipse(fitted[:, :2], axes, angle)
+    return FrameEllipse(fitted[:, :2], axes, np.where(positive[:, 0], np.arctan2(2 * xy, xx - yy) / 2, border.angle))
 
 
 def _fit_over_time(values: Series, positions: Series, times: Series) -> tuple[Series, Series]:

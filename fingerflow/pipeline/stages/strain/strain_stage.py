@@ -217,8 +217,7 @@ class StrainStage(Stage):
         by_border = np.hypot(np.maximum(whole.moves[fitted], doubt) * lacking, (blur * whole.energy)[fitted])
         self._energy_std[frames[fitted]] = np.hypot(whole.deviation[fitted], by_border)
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
-        share = np.where(lacking < 0, 1.0, _INSIDE)
-        self._between_std[frames[fitted]] = np.hypot(deviation[fitted], share * lacking)
+        self._between_std[frames[fitted]] = np.hypot(deviation[fitted], np.where(lacking < 0, 1.0, _INSIDE) * lacking)
 
     def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, Values, Mask]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as

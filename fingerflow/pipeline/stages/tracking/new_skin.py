@@ -145,8 +145,7 @@ class NewSkin:
 
         The skin is traced back by the displacement `moved` (K, 2) px of the nearest point since then.
         """
-        was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - moved
-        column, row = np.rint(was).astype(int).T
+        column, row = np.rint(at @ self._inverse[:, :2].T + self._inverse[:, 2] - moved).astype(int).T
         return ~_look_up(np.stack(self.searched), seeding, row, column)
 
     def _on_topography(self, cells: Mask) -> Mask:

@@ -316,8 +316,7 @@ class TrackingStage(Stage):
 
         recorded = torch.as_tensor(np.asarray(image, dtype=np.float32)).to(self.inputs.device)
         skin = subtract_background(recorded, self.inputs.reference(self._view))
-        enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
-        return self._engine.images(enhanced[:, 0].cpu().numpy())
+        return self._engine.images(unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)[:, 0].cpu().numpy())
 
     def _seeding_region(self, margin: Values) -> Mask:
         """Return the mask (h, w) of the topographic view in which the first points are seeded.
