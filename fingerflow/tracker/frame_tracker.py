@@ -456,6 +456,7 @@ class StreamTracker:
                     least, (counted, region) = self._sparse.points, self._regions(self._sparse)
                 positions = tracked_points.points[0].copy()
                 self._change = _Change(frame.number, image, positions, cause, region, counted, least)
+        work.pull = points.pull
         return self._outcome(work, USABLE, tracked_points, tracked)
 
     def _outcome(
@@ -467,7 +468,6 @@ class StreamTracker:
         work.threshold = work.threshold if status == USABLE else math.nan
         work.status, work.points, work.tracked, work.seeding = status, points, tracked, self._seeding
         work.key_frame, work.restart = self._reseeding.key_frame, self.restarts
-        work.pull = None if self._points is None else self._points.pull
         self._unlearnt.append((self._index, work.frame.number, work))
         return work
 

@@ -25,14 +25,14 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     It differs little between neighbouring points, so that the skin does not fold, and it stays bounded far away, unlike
     an extrapolated plane.
     """
-    positions = np.array(position[slice(first, first + 1)][0], dtype=np.float64)
-    later = status[slice(first, first + 1)][0] == TrackStatus.NOT_SEEDED_YET
+    positions = np.array(position[first : first + 1][0], dtype=np.float64)
+    later = status[first : first + 1][0] == TrackStatus.NOT_SEEDED_YET
     seeded = np.full(len(positions), first)
     if not later.any():
         return positions, seeded
     seeded[later] = _seedings(status, np.flatnonzero(later), backward)
     for frame in sorted(set(seeded[later].tolist()), reverse=backward):
-        now, new = position[slice(frame, frame + 1)][0], np.flatnonzero(later & (seeded == frame))
+        now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))
         earlier = np.flatnonzero(np.isfinite(positions + now).all(1) & (seeded != frame))
         # All points were lost, as when a finger is lifted: new points then start without a displacement.
         if not len(earlier):
@@ -53,7 +53,7 @@ def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArra
     """
     frames = np.full(len(later), -1)
     for begin in range(0, status.shape[0], FRAMES_READ):
-        tracked = status[slice(begin, begin + FRAMES_READ)][:, later] == TrackStatus.TRACKED
+        tracked = status[begin : begin + FRAMES_READ][:, later] == TrackStatus.TRACKED
         here = tracked.any(0)
         if backward:
             frames[here] = begin + len(tracked) - 1 - tracked[::-1].argmax(0)[here]

@@ -118,7 +118,7 @@ class DenseFlowSlipStage(SlipStage):
         """Compute the dense optical flow from the first frame to frame `frame`, store it at the contact cells, and
         compare it with the displacement of the tracked points.
         """
-        moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
+        moved = self.results["position"][frame : frame + 1][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
         pixels = self.inputs.geometry.on_topography(grid.points).astype(np.float32)
@@ -151,7 +151,7 @@ class DenseFlowSlipStage(SlipStage):
             return
         self.series["dense_flow_difference"][frame] = np.quantile(difference[valid], 0.5)
         self.series["dense_flow_difference_95"][frame] = np.quantile(difference[valid], 0.95)
-        deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known].astype(np.float64)
+        deviation = self.results["position_std_px"][frame : frame + 1][0][self._known].astype(np.float64)
         variance = flow[valid, 2] + np.square(deviation[valid])
         length = difference[valid] / (np.sqrt(variance) * self.inputs.geometry.topography_mm_per_px)
         if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself

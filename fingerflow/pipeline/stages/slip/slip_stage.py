@@ -197,7 +197,7 @@ class SlipStage(Stage):
         """Return the median over all points of the standard deviation, px, of a displacement component by image noise
         in one frame.
         """
-        return float(nanmedian(self.results["position_noise_px"][slice(frame, frame + 1)])[0])
+        return float(nanmedian(self.results["position_noise_px"][frame : frame + 1])[0])
 
     def finish(self) -> None:
         settings, border = self._settings, self._border

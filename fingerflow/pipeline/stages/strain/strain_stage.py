@@ -163,7 +163,7 @@ class StrainStage(Stage):
         """
         displacement = self.inputs.tensor(moved)
         smooth = local_gradients(self._from_start, displacement, gauge_length=_SMOOTHED * self._window_mm).value
-        again = torch.where(smooth.isfinite() & displacement.isfinite(), smooth, displacement)
+        again = torch.where((smooth + displacement).isfinite(), smooth, displacement)
         left = self._triangle_strain(again, np.zeros((*moved.shape, 2), np.float32), touching).energy
         lost = (energy - left).clamp_min(0) * energy / torch.maximum(left, energy / 3 + 1e-30)
         return lost.cpu().numpy()
