@@ -66,8 +66,7 @@ class Condition:
         value = values[self.name]
         if math.isnan(value):
             return False
-        down = self._compare(0, 1)  # true of < and <=
-        limit = self.limit + (self.margin if down else -self.margin) * self._true
+        limit = self.limit + (self.margin if self._compare(0, 1) else -self.margin) * self._true
         before, self._true = self._true, self._compare(value, limit)
         return self._true and not before
 

@@ -29,16 +29,20 @@ class StaleViews:
     def __init__(self) -> None:
         self._before: FrameKey = ()
         self._compared = -1  # number of frames that were compared with the one before
+        self._in_a_row = 0
         self.frames = Counter[str]()  # in which each view was stale
 
     def update(self, key: FrameKey) -> bool:
-        """Return whether a view that was not stale in all frames so far is so in the next one, which has this key."""
+        """Return whether a view that was not stale in all frames so far is so in the next one, which has this key, and
+        was in the three before.
+        """
         views = zip(_VIEWS, key, self._before, strict=False)
         same = {view for view, now, before in views if now == before != b""}
         stale = same if key != self._before else set()
         self.frames.update(stale)
         self._before, self._compared = key, self._compared + 1
-        return any(self.frames[view] < self._compared for view in stale)
+        self._in_a_row = (self._in_a_row + 1) * any(self.frames[view] < self._compared for view in stale)
+        return self._in_a_row > 3
 
     def warnings(self) -> list[str]:
         """Return a warning for each view that was stale; safe in any thread."""

@@ -105,8 +105,7 @@ class FrameCheck:
         self._without_lines = self._without_lines + 1 if status == JUMPS else 0
         if self._without_lines > LONGEST:
             status = USABLE
-        stale = self.stale_views.update(picture.key) and len(self._same) > _KNOWN
-        if status == USABLE and (self._repeats(picture.key) or stale):
+        if status == USABLE and (self.stale_views.update(picture.key) or self._repeats(picture.key)):
             status = REPEATED
         return self._judged(picture if status == picture.status else picture._replace(status=status))
 

@@ -180,8 +180,7 @@ class StrainStage(Stage):
         position, moved = steady(frames), batch.steps[DeformationStage]
         # Skin that was in contact when its points were seeded has no strain, and that of the rest is not its own.
         seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
-        counted = (seen & np.isfinite(moved.displacement[..., 0])).sum(1)
-        unknown = 2 * counted < seen.sum(1)
+        unknown = 2 * (seen & np.isfinite(moved.displacement[..., 0])).sum(1) < seen.sum(1)
         between, between_std = (np.where(unknown, np.nan, values) for values in (between, between_std))
         border_energy = border_density(
             *(np.where(touching, density, np.nan), self._areas, self._sum_corners(position) / 3, border),

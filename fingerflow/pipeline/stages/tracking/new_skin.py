@@ -98,8 +98,7 @@ class NewSkin:
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
         tree = cKDTree(position[followed])
         nearest = tree.query(at[cells])[1]
-        coming = at[cells] + _AHEAD * way[followed[nearest]]
-        soon = self._in(touching, at[cells]) | self._in(touching, coming)
+        soon = self._in(touching, at[cells]) | self._in(touching, at[cells] + _AHEAD * way[followed[nearest]])
         if not soon.any():
             return None
         cells, nearest = cells[soon], followed[nearest[soon]]
@@ -132,8 +131,7 @@ class NewSkin:
 
     def _middle(self, touching: Mask) -> Points:
         lines = touching.sum(0), touching.sum(1)  # number of touching cells by column, and by row
-        total = lines[0].sum()
-        return np.array([counts @ np.arange(len(counts)) / total for counts in lines]) * self._cell * _STEP
+        return np.array([counts @ np.arange(len(counts)) / lines[0].sum() for counts in lines]) * self._cell * _STEP
 
     def _in(self, touching: Mask, at: Points) -> Mask:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
