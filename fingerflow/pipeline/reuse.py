@@ -39,6 +39,7 @@ _CODE = (
 )  # fmt: skip
 WHOLE_BYTES = 16 << 20  # bytes, size up to which the files of a recording are digested as a whole
 _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of larger ones
+_PIECE_BYTES = 1 << 20  # bytes of other files that are held in memory at a time
 
 
 class StageKey(NamedTuple):
@@ -220,14 +221,13 @@ def content(files: Sequence[Path]) -> Iterator[bytes]:
     """
     sizes = [check_file(file) for file in files]
     large = sum(sizes) > WHOLE_BYTES
-    samples = max(_SAMPLES // len(sizes), 2) if large else 1
     for file, size in zip(files, sizes, strict=True):
-        most = min(size, _SAMPLE_BYTES) if large else size
+        step = size * len(sizes) // _SAMPLES + 1 if large else _PIECE_BYTES
         yield f"{file.name} {size} {large and file.stat().st_mtime_ns} ".encode()
         with file.open("rb") as opened:
-            for number in range(samples):
-                opened.seek(number * (size - most) // max(samples - 1, 1))
-                yield opened.read(most)
+            for at in range(0, size, step):
+                opened.seek(at)
+                yield opened.read(min(step, _SAMPLE_BYTES) if large else step)
 
 
 @cache
