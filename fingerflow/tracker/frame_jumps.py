@@ -137,12 +137,16 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
         return jumps
     before, after, around = _steps(distances)
     ordinary = ordinary_values(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], around))
+    # Whether frames from the second on may begin a jump, by their distance from the frame right before them.
+    likely = np.any(excess(distances[1:, 0], distances[1:, 0], before[:-1]) > _LEAST_EXCESS, axis=1)
     good = iter(usable.nonzero()[0].tolist())
     last = next(good, frames)
     for frame in good:
         if frame <= last:
             continue
-        length = _length_of_jump(distances, before[last], after, last, frame, usable, ordinary)
+        length = 0
+        if likely[frame - 1] or last != frame - 1:
+            length = _length_of_jump(distances, before[last], after, last, frame, usable, ordinary)
         jumps[frame : frame + length] = True
         last = frame + length
     jumps &= usable
