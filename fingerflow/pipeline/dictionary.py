@@ -30,7 +30,7 @@ class DictionaryEntry(NamedTuple):
 
     @property
     def unit_note(self) -> str:
-        """Return the text ", shown in UNIT" if figures use another unit than the data set, else ""."""
+        """Return ", shown in" and the unit of figures where that is not the unit of the data set; "" where it is."""
         return "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
 
     def __str__(self) -> str:

@@ -90,7 +90,7 @@ def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], StageKey] = {}
-    recording += _written(inputs.recording.path)
+    recording += recording and _written(inputs.recording.path)  # empty where no stage reads pictures
     # Cache, since several stages digest the same background frames.
     setting_values: dict[str, list[tuple[str, Any]]] = {}
     pictures: set[type[Stage]] = set()  # stages whose results depend on frames

@@ -210,8 +210,8 @@ class Player:
             log.info("%s", few)
 
     def _log_faults(self) -> None:
-        """Log once that the rim of the contact is faint, that a view is frozen, that the area steps, and that the whole
-        image vibrates. Slides are left out of the last: skin in contact and skin beside it may tremble together there.
+        """Log each fault of the recording once: a faint rim, a contact cut off by the view, a frozen view, steps of the
+        area, and vibration. Slides are left out of the last: all skin may tremble together there.
         """
         slides, mm_per_px = self.scene.kind == "slip", self._tracker.geometry.topography_mm_per_px
         view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2

@@ -24,7 +24,7 @@ def frame_key(blocks: Sequence[NDArray[Any]]) -> FrameKey:
 
 
 class StaleViews:
-    """Detection of frames in which a view repeats the picture of the frame before while the other view goes on."""
+    """Detector of frozen views: frames in which one view repeats its previous picture, and the other view does not."""
 
     def __init__(self) -> None:
         self._before: FrameKey = ()
@@ -33,8 +33,8 @@ class StaleViews:
         self.frames = Counter[str]()  # in which each view was stale
 
     def update(self, key: FrameKey) -> bool:
-        """Return whether a view that was not stale in all frames so far is so in the next one, which has this key, and
-        was in the three before.
+        """Add the next frame by its key; return whether a view is frozen in it and in the three before, and was not
+        frozen in all frames so far.
         """
         views = zip(_VIEWS, key, self._before, strict=False)
         same = {view for view, now, before in views if now == before != b""}

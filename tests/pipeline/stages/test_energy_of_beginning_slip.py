@@ -12,7 +12,7 @@ from tests.silent.deviation_scenes import scenes
 @pytest.mark.long
 @pytest.mark.skipif(not FINGERS.is_dir(), reason=f"{FINGERS} with real prints is not here")
 def test_windows_that_match_badly_beside_slip_are_no_noise() -> None:
-    """Such windows add to the deviations of points, but not to the noise of which the energy is freed."""
+    """The energy of image noise is subtracted from the strain energy; that of mismatched windows is not."""
     scene = dict(scenes())["slide 0 of 101_1"]
     result, frames = processed(scene, ["strain_energy"]), np.arange(14, 22)
     gradients = [scene.truth.entry_gradient(skin_in_contact(scene, k, 0.1), k) for k in frames.tolist()]

@@ -138,7 +138,7 @@ def check_young_modulus(modulus_mpa: float) -> Iterator[str]:
 
 
 def check_force(normal: Series) -> Iterator[str]:
-    """Yield a warning if a normal force (frames,) N exceeds what a finger can exert, or is none."""
+    """Yield a warning if a normal force (frames,) N is larger than a finger can exert, or stays at zero."""
     peak = np.fmax.reduce(normal)
     if peak <= LEAST_NORMAL:
         yield f"the normal force in the frames is never above {LEAST_NORMAL} N: check frame rate, trigger and column"

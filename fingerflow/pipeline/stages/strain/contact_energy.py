@@ -270,6 +270,6 @@ def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tupl
 
 
 def perimeter(semi_axes: Array) -> Array:
-    """Return the perimeters (n,) mm of ellipses with semi-axes (n, 2) mm, the larger first."""
+    """Return the perimeters (n,) mm of ellipses with semi-axes (n, 2) mm, the major one in the first column."""
     major, minor = semi_axes.T
     return 4 * major * np.asarray(ellipe(1 - (minor / major) ** 2))

@@ -27,8 +27,7 @@ from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
-Values = NDArray[np.floating]
-
+Array = NDArray[np.floating]
 Series = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -45,8 +44,6 @@ _TAKEN = 0.33
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.5
 _ENERGIES = "strain_energy", "strain_energy_std", "strain_energy_between_points", "strain_energy_between_points_std"
-
-Array = Values
 
 
 class StrainStage(Stage):
@@ -146,7 +143,7 @@ class StrainStage(Stage):
             deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, corrected.energy, touching))
         self._sum_up(batch, touching, corrected.density.cpu().numpy(), corrected.energy.cpu().numpy(), deviation)
 
-    def _triangle_strain(self, moved: torch.Tensor, covariance: Values, touching: Mask) -> TriangleStrain:
+    def _triangle_strain(self, moved: torch.Tensor, covariance: Array, touching: Mask) -> TriangleStrain:
         contact = torch.from_numpy(touching).to(self.inputs.device)
         given = self._reference, self._corners, moved, self.inputs.tensor(covariance), contact, self._shared
         young, poisson = self._elastic
@@ -169,7 +166,7 @@ class StrainStage(Stage):
         return lost.cpu().numpy()
 
     def _sum_up(
-        self, batch: Batch, touching: Mask, density: Values, between: Series,
+        self, batch: Batch, touching: Mask, density: Array, between: Series,
         between_std: Series,
     ) -> None:  # fmt: skip
         """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
@@ -218,7 +215,7 @@ class StrainStage(Stage):
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
         self._between_std[frames[fitted]] = np.hypot(deviation[fitted], np.where(lacking < 0, 1.0, _INSIDE) * lacking)
 
-    def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, Values, Mask]:
+    def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, Array, Mask]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
         arguments for `ContactEnergy.estimate`.
 
