@@ -40,7 +40,7 @@ _FIELD_STD_EQUATION = (
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
     "computed from, Δ_gauge the change by twice the gauge length, since onset a fifth of it, RMS over the elements, "
-    "Δ_border the change by an ellipse 0.035 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
+    "Δ_border the change by a border 0.014 mm further in, late the median gradient of v Δt/2 at "
     "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
     "of fields √E points below and above, E points moved in, common on presses 0.64, "
     "0.21, 0.23, 0.23 and 0.11 µm/mm of divergence, curl, e_xx, e_yy and e_xy, as skin that touches looks different"
@@ -308,7 +308,7 @@ DISPLACEMENT = (
 )
 
 _ALONE = (
-    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.035 mm off, the "
+    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.014 mm off, the "
     "share that is not known, and points that moved in"
 )
 FIELDS = (
