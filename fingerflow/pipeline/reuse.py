@@ -104,8 +104,7 @@ def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[
             pictures.add(stage)
         seen = recording if stage in pictures else ""
         of_stages = [keys[earlier].digest for earlier in before]
-        on = stage.depends_on(plan.stages)
-        keys[stage] = StageKey(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
+        keys[stage] = StageKey(digest_of(stage.name, settings, seen, of_stages, common), settings)
     return keys
 
 
