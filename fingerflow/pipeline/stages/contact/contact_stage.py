@@ -81,13 +81,11 @@ class ContactStage(Stage):
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self.usable))
-        at_first = self._changed(first)
-        faults = [*plausibility.check_exposure(*at_first, first + self.first_frame)]
-        self.warnings += faults or plausibility.check_background(at_first[0], first + self.first_frame)
+        faults = [*plausibility.check_background(*self._changed(first), first + self.first_frame)]
         self.reference_frame, self.moment = self._most_contact()
         changed, appears = self._changed(self.reference_frame), self.inputs.scene.contact.appears
-        faults = faults or [*plausibility.check_contrast(*changed, appears, self.moment)]
-        self.warnings.extend(fault for fault in faults if fault not in self.warnings)
+        faults += plausibility.check_contrast(*changed, appears, self.moment)
+        self.warnings += faults
         self._threshold = self._fixed_threshold(faults)
         contact = self._contact(self.reference_frame)
         self._largest = self._gross_region(contact)
@@ -313,7 +311,7 @@ class ContactStage(Stage):
     def _fixed_threshold(self, faults: list[str]) -> float | None:
         """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
 
-        Raises FingerflowError if there is no contact; it says what to check first, and contains the first of the
+        Raises FingerflowError if there is no contact; it says what to check first, and contains the last of the
         `faults` of the contrast, if there are some.
         """
         setting = self.inputs.scene.contact.threshold
@@ -326,12 +324,12 @@ class ContactStage(Stage):
         if not np.isfinite(threshold):
             path = self.inputs.recording.path
             if faults:
-                raise FingerflowError(f"{path}: no contact: {faults[0]}")
-            seen = view_faults.described(frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame)
+                raise FingerflowError(f"{path}: no contact: {faults[-1]}")
+            shown = frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame
+            seen = next(view_faults.check_empty_view(*shown), "nothing there differs from the background as it does")
             clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""
             raise FingerflowError(
-                f"{path}: no contact at {self.moment}: {seen or 'the contact view is that of the background'}. "
-                f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "
-                "threshold to a number"
+                f"{path}: no contact at {self.moment}: {seen}. Check {clocks}[views.contact] and [background] in "
+                f"{self.inputs.scene.path}; or set [contact] threshold to a number"
             )
         return threshold
