@@ -34,9 +34,9 @@ _TIMES, _MASK = "recording.times", ".region.mask"
 _FILES = ("background.frames", "background.dark", "forces.file")
 _IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files
 _CODE = (
-    "engines", "export", "graphs", "kernels", "models", "ops", "pipeline/stages", "recordings", "results", "schema",
-    "tracker",
-)  # fmt: skip
+    *("engines", "export", "graphs", "kernels", "models", "ops", "pipeline/stages", "recordings", "results"),
+    *("schema", "tracker"),
+)
 WHOLE_BYTES = 16 << 20  # bytes, size up to which the files of a recording are digested as a whole
 _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of larger ones
 _PIECE_BYTES = 1 << 20  # bytes of other files that are held in memory at a time
@@ -91,21 +91,15 @@ def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], StageKey] = {}
     recording += recording and _written(inputs.recording.path)  # empty where no stage reads pictures
-    # Cache, since several stages digest the same background frames.
-    setting_values: dict[str, list[tuple[str, Any]]] = {}
+    settings_of = cache(lambda name: [*_settings(name, values, inputs)])  # several stages digest the same files
     pictures: set[type[Stage]] = set()  # stages whose results depend on frames
     for stage in plan.stages:
         before = sorted({*stage.after, *stage.same_pass}, key=lambda earlier: earlier.name)
-        for name in stage.settings:
-            if name not in setting_values:
-                setting_values[name] = list(_settings(name, values, inputs))
-        settings = {key: value for name in stage.settings for key, value in setting_values[name]}
+        settings = dict(pair for name in stage.settings for pair in settings_of(name))
         if stage.reads_frames or pictures.intersection(before):
             pictures.add(stage)
-        seen = recording if stage in pictures else ""
-        of_stages = [keys[earlier].digest for earlier in before]
-        on = stage.depends_on(plan.stages)
-        keys[stage] = StageKey(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
+        seen, of_stages = recording if stage in pictures else "", [keys[earlier].digest for earlier in before]
+        keys[stage] = StageKey(digest_of(stage.name, settings, seen, of_stages, common), settings)
     return keys
 
 
@@ -143,8 +137,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     whole = "" if earlier_stages else older
     computed: dict[type[Stage], str] = {}
     for stage in plan.stages:
-        why = whole or _reason_to_compute(stage, plan, keys[stage], earlier_stages.get(stage.name), computed)
-        if why:
+        if why := whole or _reason_to_compute(stage, plan, keys[stage], earlier_stages.get(stage.name), computed):
             computed[stage] = why
     # A stage that runs needs the steps of the stages in `same_pass`, and the stages in `after` unless these can be
     # `restored`.
@@ -161,8 +154,8 @@ def _reason_to_compute(
     """Return why a stage must be computed, or "" if the earlier results of the stage can be reused."""
     if record is None:
         return "it was not computed there"
-    lacking = [variable.name for variable in stage.gives if variable.name in plan.requested and not variable.unasked]
-    lacking = [name for name in lacking if name not in record["gave"]]
+    optional = {variable.name for variable in stage.gives if not variable.unasked}
+    lacking = sorted((optional & plan.requested).difference(record["gave"]))
     if lacking:
         return f"{', '.join(lacking)} is not there"
     if record["digest"] == key.digest:

@@ -2,13 +2,12 @@
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,7 +17,7 @@ from tqdm import tqdm
 
 from fingerflow import __version__
 from fingerflow.pipeline.plan import VARIABLES, Plan, plan
-from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, Reused, record, reused, stage_keys
+from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, record, reused, stage_keys
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.recordings.identity import identity_of
@@ -32,8 +31,6 @@ from fingerflow.schema.scene import Scene, load_scene
 _PICTURES = 16  # frames per batch; as many again are decoded ahead
 _NUMBERS = 64  # frames per batch in a pass without images
 _libraries = cache(ThreadpoolController)  # with threads; to search for them takes as long as a frame
-_Given = TypeVar("_Given")
-_Result = TypeVar("_Result")
 
 
 def process(
@@ -110,25 +107,22 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
     stages: dict[type[Stage], Stage] = {}
     trial = RunContext(inputs, store, planned.stages, planned.requested, stages)
     reuse: dict[str, str] = {}
+    taken_over: frozenset[type[Stage]] = frozenset()
     with ExitStack() as held:
         # If only forces are processed, no frame is read and the recording needs no identity.
         recording = identity_of(inputs.recording) if any(stage.reads_frames for stage in planned.stages) else ""
         keys = stage_keys(planned, inputs, inputs.engine.name, recording)
-        earlier_result: Reused | None = None
         if earlier is not None:
             path = Path(earlier)
             earlier_result = reused(held.enter_context(open_result(path)), path, planned, keys, inputs)
-            reuse[TAKEN_OVER] = earlier_result.as_json()
+            reuse[TAKEN_OVER], taken_over = earlier_result.as_json(), earlier_result.stages
         for kinds in planned.passes():
-            stages.update({stage_class: stage_class(trial) for stage_class in kinds})
-            running = []
             for stage_class in kinds:
-                if earlier_result is None or stage_class not in earlier_result.stages:
-                    running.append(stages[stage_class])
-                    continue
-                with _timed(seconds, stage_class.name):
-                    earlier_result.restore(stages[stage_class])
-            _pass(running, trial, seconds, progress)
+                stages[stage_class] = stage_class(trial)
+                if stage_class in taken_over:
+                    with _timed(seconds, stage_class.name):
+                        earlier_result.restore(stages[stage_class])
+            _pass([stages[kind] for kind in kinds if kind not in taken_over], trial, seconds, progress)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     scene = inputs.scene
@@ -194,35 +188,21 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
 
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not progress)
     ahead = pictures and (early or trial.inputs.device.type != "cpu") and torch.get_num_threads() > 1
-    # `closing` waits for the thread also after an error, so that the recording is not closed while the thread reads.
-    with bar, closing(_compute_ahead(begin, batches) if ahead else (begin(indices) for indices in batches)) as begun:
-        for batch in begun:
+    # The executor waits for its thread also after an error, so that the recording is not closed while it reads.
+    with bar, ThreadPoolExecutor(max_workers=1) as worker:
+        coming: Future[Batch] | None = None
+        for number, indices in enumerate(batches):
+            batch = begin(indices) if coming is None else coming.result()
+            # Submitted once the batch before is there: then two are in memory at a time, not three.
+            coming = worker.submit(begin, batches[number + 1]) if ahead and batches[number + 1 :] else None
             _step(last, batch, seconds)
-            bar.update(len(batch.indices))
-            del batch  # frees the batch before the batch after the next one is read
+            bar.update(len(indices))
+            del batch
 
 
 def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> None:
     with _timed(seconds, stage.name):
         batch.steps[type(stage)] = stage.step(batch)
-
-
-def _compute_ahead(act: Callable[[_Given], _Result], items: Iterable[_Given]) -> Generator[_Result, None, None]:
-    """Yield `act(item)` for each item, like `map`, while a second thread computes the result for the next item.
-
-    Closing the generator waits for the running computation.
-    """
-    with ThreadPoolExecutor(max_workers=1) as worker:
-        coming: Future[_Result] | None = None
-        for item in items:
-            # Wait for a result before submitting the next computation: then two results are in memory at a time, not
-            # three.
-            result = [] if coming is None else [coming.result()]
-            coming = worker.submit(act, item)
-            if result:
-                yield result.pop()
-        if coming is not None:
-            yield coming.result()
 
 
 @contextmanager

@@ -104,8 +104,8 @@ class DeformedFrames(NamedTuple):
         vector, vector_std: (n, 2) mm, median displacement over the contact, and its standard deviation.
         fields: with the standard deviations of divergence and curl at points by all terms, and of medians by errors of
             points alone.
-        variance: (n, 5) of the medians of fields by all terms but `Deformation.bias`.
-        bias: (n, 5) the latest of these that was known in each frame.
+        variance: (n, 5) of the medians of fields by all terms but gauge length and border.
+        bias: (n, 5) of the medians by gauge length and border, as it was known in each frame (`Deformation.latest`).
     """
 
     since: Displacement
@@ -126,11 +126,9 @@ class Deformation:
         positions: (N, 2) mm, positions by which points are neighbours, the same in all frames; NaN for no point.
 
     Attributes:
-        bias: number of each evaluated frame, and the variance (5,) of its medians by gauge length and border; NaN where
-            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and one in which
-            the contact has grown. Until it is known in one, a stream evaluates every frame, and a batch its first
-            eight.
-        latest: (5,) the latest of these variances that is known.
+        latest: (5,) the latest known variance of the medians by gauge length and border; NaN as long as the contact is
+            too small for twice the gauge length. Every eighth frame is evaluated, and one in which the contact has
+            grown. Until it is known in one, a stream evaluates every frame, and a batch its first eight.
     """
 
     def __init__(self, engine: Engine, positions: Array) -> None:
@@ -138,7 +136,6 @@ class Deformation:
         # Variance of divergence and curl in the latest evaluated frame, the mean square of these fields and the product
         # of the contact's semi-axes in it.
         self._of_smoothing, self._square = np.zeros((1, 2, len(positions))), np.ones(1)
-        self.bias: list[tuple[int, NDArray[np.float64]]] = []
         self.latest, self._area = np.full(5, np.nan), 0.0
 
     def step(self, skin: SkinFrames, onsets: Onsets) -> DeformedFrames:
@@ -180,7 +177,6 @@ class Deformation:
             since_onset = counted.sum(1, keepdims=True) > known_points.sum(1, keepdims=True) / 2
             bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded, since_onset)
             bias += np.where(since_onset, np.square(_COMMON), 0)
-            self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
                 course.append(np.where(np.isfinite(values), values, course[-1]))
             self.latest = course[-1]

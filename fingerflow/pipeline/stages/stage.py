@@ -1,6 +1,6 @@
 """Base class of pipeline stages, with the inputs and outputs of a stage and the methods that a run calls."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, TypeVar
@@ -81,7 +81,6 @@ class Stage:
         same_pass: stages of the same pass whose step of the same frames comes before its own.
         after: stages that must be finished before it begins.
         reads_frames: True if `step` reads pictures.
-        follows_border: True if it needs points on both sides of the contact border, from the first frame on.
         settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
         restored: False if later stages need more of it than `restore` brings back from an earlier result.
@@ -97,7 +96,6 @@ class Stage:
     same_pass: ClassVar[tuple[type["Stage"], ...]] = ()
     after: ClassVar[tuple[type["Stage"], ...]] = ()
     reads_frames: ClassVar[bool] = False
-    follows_border: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()
     restored: ClassVar[bool] = True
 
@@ -120,13 +118,6 @@ class Stage:
         depend on a stage with such subclasses.
         """
         return cls
-
-    @classmethod
-    def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
-        """Return, as a JSON value for the cache key, what in the list `planned` of all planned stages affects the
-        results of this stage; None if nothing does.
-        """
-        return None
 
     @property
     def first_frame(self) -> int:

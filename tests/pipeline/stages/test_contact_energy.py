@@ -71,9 +71,7 @@ def measured(
     by default.
     """
     points = len(contact.position)
-    pairs = np.argwhere(np.triu(np.zeros((points, points)) if shared is None else shared, 1) > 0)
-    correlation = np.zeros(0) if shared is None else shared[tuple(pairs.T)]
-    whole = ContactEnergy(measure, (1.0, 0.4), pairs, correlation, points)
+    whole = ContactEnergy(measure, (1.0, 0.4), np.eye(points) if shared is None else shared)
     counts = np.ones((1, points), dtype=bool)
     variance = np.broadcast_to(np.square(std_mm), (1, points))
     moved = 0.1 * displacement if since_growth is None else since_growth

@@ -58,5 +58,5 @@ def test_energies_of_both_presses(away: float, tmp_path: Path) -> None:
         assert (abs(energy[at] - true) < 3.3 * deviation[at]).all()
     assert (np.isnan(energy) == np.isnan(deviation)).all()
     assert "no smooth field explains" not in warnings_of(result)
-    (warning,) = check_energy(np.ones(2), np.full(2, 50.0), np.array([False, True]), 1.6, 0)
+    (warning,) = check_energy(np.full(2, 50.0), np.array([False, True]), 1.6, 0)
     assert "no smooth field explains the displacements well in 1 frames with contact, the first is 1" in warning

@@ -81,13 +81,11 @@ class ContactStage(Stage):
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self.usable))
-        at_first = self._changed(first)
-        faults = [*plausibility.check_exposure(*at_first, first + self.first_frame)]
-        self.warnings += faults or plausibility.check_background(at_first[0], first + self.first_frame)
+        faults = [*plausibility.check_background(*self._changed(first), first + self.first_frame)]
         self.reference_frame, self.moment = self._most_contact()
         changed, appears = self._changed(self.reference_frame), self.inputs.scene.contact.appears
-        faults = faults or [*plausibility.check_contrast(*changed, appears, self.moment)]
-        self.warnings.extend(fault for fault in faults if fault not in self.warnings)
+        faults += plausibility.check_contrast(*changed, appears, self.moment)
+        self.warnings += faults
         self._threshold = self._fixed_threshold(faults)
         contact = self._contact(self.reference_frame)
         self._largest = self._gross_region(contact)
@@ -175,15 +173,16 @@ class ContactStage(Stage):
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
-    def largest_and_first(self, window_px: int) -> Mask:
-        """Return the mask (h, w) of the gross contact in the frame with most contact, united with that of the
-        first usable frame if the contact has moved away from it.
+    def seeding_region(self, window_px: int) -> Mask:
+        """Return the mask (h, w) of the skin to track: the gross contact in the frame with most contact, united with
+        that of the first usable frame, which a contact that slides has left since.
 
-        The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
-        other. That contact has left its first region since, and skin there has no onset to wait for.
+        For slip it is dilated by a window, so that points lie on both sides of the contact border.
         """
-        largest, first = self._largest, self._gross_region(self._contact(np.argmax(self.usable)))
-        return largest | first if (first & ~largest).sum() > window_px**2 else largest
+        region = self._largest | self._gross_region(self._contact(np.argmax(self.usable)))
+        if self.inputs.scene.kind != "slip":
+            return region
+        return cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= window_px
 
     def touched(self, frames: int = _LOOKS) -> Mask:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
@@ -192,16 +191,6 @@ class ContactStage(Stage):
     def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
         usable = np.flatnonzero(self.usable)
         return usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int))]
-
-    def first_and_largest(self, margin_px: int) -> Mask:
-        """Return the union (h, w) of the gross contact masks in the first usable frame and in the frame with most
-        contact, dilated by `margin_px`.
-
-        A contact that slides has left the first region by then. The margin gives points on both sides of the contact
-        border.
-        """
-        beyond = ~(self._gross_region(self._contact(np.argmax(self.usable))) | self._largest)
-        return cv2.distanceTransform(beyond.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= margin_px
 
     def _check_view(self, contact: FrameContact) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
@@ -280,15 +269,23 @@ class ContactStage(Stage):
         """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""
         return self.inputs.counts(read_frames(self.inputs.recording[[int(frame)]]), self._view)
 
+    def _light_left(self, frame: int | np.integer) -> NDArray[Any]:
+        """Return the light of samples (K,) of the lit pixels in a frame relative to that of the empty glass, both above
+        the black level and under the same illumination.
+        """
+        counts, size = self._counts(frame), [side // _STEP for side in self._view.shape[::-1]]
+        pictures = counts[0] - self._black, self._glass
+        seen, empty = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
+        lit, unknown = empty > _LEAST_LIGHT * empty.max(), np.full(1, np.nan, np.float32)
+        # A NaN threshold detects no contact.
+        gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
+        return seen[lit] / (empty[lit] * (gain if np.isfinite(gain) else 1))
+
     def _changed(self, frame: int) -> tuple[float, float]:
         """Return the shares of the lit pixels that are clearly brighter, and clearly darker, in a frame than on the
-        empty glass, both above the black level and under the same illumination.
+        empty glass.
         """
-        frames = self._counts(frame)
-        size, pictures = [side // _STEP for side in self._view.shape[::-1]], (frames[0] - self._black, self._glass)
-        seen, empty = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
-        lit = empty > _LEAST_LIGHT * empty.max()
-        share = seen[lit] / (empty[lit] * self._light_gain(frames))
+        share = self._light_left(frame)
         count = max(share.size, 1)
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
@@ -307,32 +304,14 @@ class ContactStage(Stage):
         if normal is not None and (pressed := self.usable & (normal > plausibility.LEAST_NORMAL)).any():
             frame = int(np.argmax(np.where(pressed, normal, 0.0)))
             return frame, f"the largest force (frame {frame + self.first_frame})"
-        looks = self._sampled_frames()
-        shares = [self._brightness(self._counts(i)) for i in looks]
-        frame = int(looks[int(np.nanargmin(shares))] if np.isfinite(shares).any() else np.argmax(self.usable))
+        # A contact leaves about half of the light.
+        frame = int(min(self._sampled_frames(), key=lambda number: self._light_left(number).clip(0, 1).mean()))
         return frame, f"the darkest frame ({frame + self.first_frame})"
-
-    def _brightness(self, counts: NDArray[Any]) -> float:
-        """Return the mean ratio of the intensity of a picture (1, h, w) to the light of the empty glass, both above the
-        black level, corrected for a change of the illumination.
-
-        A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
-        """
-        picture, empty, dark = (image[..., ::_STEP, ::_STEP] for image in (counts[None], *self._light))
-        shares = ((picture - dark) / np.maximum(empty, 1)).clip(0, 1)[empty > 0]
-        seen = float(shares.sum() / max(shares.size, 1))
-        return seen / self._light_gain(counts) if seen > _LEAST_LIGHT else np.nan
-
-    def _light_gain(self, counts: NDArray[Any]) -> float:
-        """Return the illumination gain of a picture (1, h, w) relative to the empty glass; 1 where it is unknown."""
-        unknown = np.full(1, np.nan, np.float32)  # a NaN threshold detects no contact
-        gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
-        return gain if np.isfinite(gain) else 1
 
     def _fixed_threshold(self, faults: list[str]) -> float | None:
         """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
 
-        Raises FingerflowError if there is no contact; it says what to check first, and contains the first of the
+        Raises FingerflowError if there is no contact; it says what to check first, and contains the last of the
         `faults` of the contrast, if there are some.
         """
         setting = self.inputs.scene.contact.threshold
@@ -345,12 +324,12 @@ class ContactStage(Stage):
         if not np.isfinite(threshold):
             path = self.inputs.recording.path
             if faults:
-                raise FingerflowError(f"{path}: no contact: {faults[0]}")
-            seen = view_faults.described(frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame)
+                raise FingerflowError(f"{path}: no contact: {faults[-1]}")
+            shown = frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame
+            seen = next(view_faults.check_empty_view(*shown), "nothing there differs from the background as it does")
             clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""
             raise FingerflowError(
-                f"{path}: no contact at {self.moment}: {seen or 'the contact view is that of the background'}. "
-                f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "
-                "threshold to a number"
+                f"{path}: no contact at {self.moment}: {seen}. Check {clocks}[views.contact] and [background] in "
+                f"{self.inputs.scene.path}; or set [contact] threshold to a number"
             )
         return threshold

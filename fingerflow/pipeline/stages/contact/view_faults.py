@@ -195,29 +195,22 @@ def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, awa
             return
 
 
-def described(frame: Picture, light: Picture, number: int) -> str:
-    """Return a sentence that says what a frame in which no finger was detected shows instead, such as a torn background
-    or moved glass; "" if nothing is found.
+def check_empty_view(frame: Picture, light: Picture, number: int) -> Iterator[str]:
+    """Yield what a frame in which no finger was detected shows instead: a torn background, moved glass, uneven
+    light.
     """
-    moved = check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf))
-    if causes := [*check_background_lines(light)] or [*moved]:
-        return causes[0]
+    yield from check_background_lines(light)
+    yield from check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf))
     share = np.divide(frame, light, out=np.ones(light.shape), where=light > 0)
-    level = float(np.median(share))
     # The middles of two halves of a view are half of its side apart.
     halves = [[float(np.median(half)) for half in np.array_split(share, 2, axis)] for axis in (0, 1)]
     across = 2 * float(np.linalg.norm(np.diff(halves)))
-    fall = across / (level + across / 2)
+    fall = across / (float(np.median(share)) + across / 2)
     if fall > _UNEVEN:
-        return (
+        yield (
             f"the light falls by {fall:.0%} across the view against the background: the lamp was moved or warms up, so "
             f"record the empty glass again"
         )
-    causes = [f"the whole view has {level:.0%} of the background's light"] if abs(level - 1) > _UNEVEN else []
-    dark = float((share < level - _UNEVEN).mean())
-    if dark > 0.002:
-        causes.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
-    return "; ".join(causes)
 
 
 def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -54,17 +54,14 @@ class DeformationStage(Stage):
         border: of the contact in all frames, mm, without the vibration of the image.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
-        common_position: (N, 2) mm, of `common_frame`; only set by onsets.
-        last: the last usable frame.
+        common_position: (N, 2) mm, of `common_frame`.
         seeded: (N,) frame in which a point was seeded.
-        some_later: True if points were seeded later, where skin came into contact; only set by onsets.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
         onset: (N,) first frame of the touch that lasts; -1 for none, and for points that were seeded inside the
             contact. By onsets it is also -1 for points that were lost then, as a later frame would be taken for the
             onset.
         reference: (N, 2) mm, position at the reference. By onsets, a point whose touches all ended has the position of
             its first touch. NaN for points that are never in contact.
-        reference_px: (N, 2) the same, px of the topographic view.
         noise: (N,) mean of `Displacement.variance` over the frames in which it is known, mm^2.
         onset_variance: (N,) frame^2, of the time of onset; 0 for none, NaN if the reference is a frame.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 if the
@@ -90,7 +87,7 @@ class DeformationStage(Stage):
         self._template = self.inputs.scene.tracking.template
         self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
-        self._median, self._variance = np.full((2, len(trial), 5), np.nan)
+        self._median, self._variance, self._bias = np.full((3, len(trial), 5), np.nan)
 
     def begin(self) -> None:
         inputs = self.inputs
@@ -102,22 +99,16 @@ class DeformationStage(Stage):
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
-        first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
-        common, self.seeded = common_frame(self.results["position"], self.results["status"], first, backward)
+        first, position = int(usable[-1 if backward else 0]), self.results["position"]
+        self.common_position, self.seeded = common_frame(position, self.results["status"], first, backward)
         self._later = self.seeded != first
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
         self._shaken, pressed = np.zeros((len(self.trial), 2), complex), inputs.scene.kind in ("press", "single_view")
         if pressed:
             counted = "displacement and strain are those without this motion, positions those with it"
-            shaken = self.results["position"], self.results["in_contact"], usable, self.mm_per_px, counted
+            shaken = position, self.results["in_contact"], usable, self.mm_per_px, counted
             self._shaken, vibrates = vibration(*shaken)
             self.warnings.extend(vibrates)
-        if then is not None:
-            # Positions of all points, and their standard deviations, in the frame from which displacement counts.
-            self._fixed = self.steady_position(np.array([then]))[0]
-            self._fixed_px, self._fixed_noise_px = (
-                self.results[name][then : then + 1][0] for name in ("position_px", "position_noise_px")
-            )
         border = FrameEllipse(*(self.results[f"ellipse_{part}"][:] for part in FrameEllipse._fields))
         self.border = self._onset_border = border._replace(center=steady(border.center, self._shaken))
         self._dilated = inputs.scene.fields.reference == "dilated_onset"
@@ -132,7 +123,10 @@ class DeformationStage(Stage):
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
         self._curvature_then = np.zeros(points, np.float32)
         if then is not None:
-            self._curvature_then = self._skin(np.array([then])).curvature[0] * np.float32(self.mm_per_px**2)
+            # Positions of all points, and their variances, in the frame from which displacement counts.
+            reference = self._skin(np.array([then]))
+            self._fixed, self._fixed_noise = reference.position[0], reference.noise[0]
+            self._curvature_then = reference.curvature[0] * np.float32(self.mm_per_px**2)
         self._find_onsets()
         moves_in = np.zeros(points, dtype=bool)
         if self.by_onsets:
@@ -140,8 +134,8 @@ class DeformationStage(Stage):
                 gross = self.results["gross_contact_area"][:]
                 self.warnings += plausibility.check_beginning(gross, self.first_frame)
             gauge = inputs.scene.fields.gauge_length_mm
-            moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
-            self.common_position, self.some_later = common, bool(self._later.any())
+            motion = self.onset, self.reference, gauge, self._onset_border
+            moves_in = advected(position, self.common_position, *motion)
             self.onset_variance, self.of_onset, self.independent = onset_errors(
                 *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
                 *(self._select_positions, self._onset_border, self.trial.stage(ContactStage).faint_rim_mm),
@@ -172,8 +166,7 @@ class DeformationStage(Stage):
             self.results.create(name, self._gauge)
         if "rigid_residual" in self.trial.requested:
             self.results.create("rigid_residual")
-        minor = self.border.semi_axes[:, 1]
-        widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
+        widest = 2 * float(np.fmax.reduce(self.border.semi_axes[:, 1]))
         self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = self.common_position if self.by_onsets else self.reference
@@ -213,7 +206,7 @@ class DeformationStage(Stage):
         median = nanmedian(np.sqrt(across * across + down * down))
         self.series["rigid_residual_median"][frames] = np.where(enough, median, np.nan)
         self.series["field_coverage"][frames] = now.fields.known_share
-        self._median[frames], self._variance[frames] = now.fields.median, now.variance
+        self._median[frames], self._variance[frames], self._bias[frames] = now.fields.median, now.variance, now.bias
         return now.lasting
 
     def since(self, skin: SkinFrames) -> Displacement:
@@ -240,7 +233,9 @@ class DeformationStage(Stage):
         self.series |= {"global_displacement": length, "global_displacement_std": length_std}
         for name in ("global_displacement_vector", "global_displacement", "printed_global_displacement"):
             self.about[name] = self._attributes
-        median_std = np.sqrt(self._variance + self._bias())
+        # While a contact is too small for twice the gauge length, that of the first frame in which it is large enough.
+        first = np.take_along_axis(self._bias, np.isfinite(self._bias).argmax(0)[None], axis=0)
+        median_std = np.sqrt(self._variance + np.where(np.isnan(self._bias), first, self._bias))
         times, window = self.inputs.times, self._settings.rate_window_s
         rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
         if np.isnan(rates).all() > np.isnan(self._median).all():
@@ -256,21 +251,6 @@ class DeformationStage(Stage):
         self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
         of_frames = self._median[:, 0], self.series["field_coverage"], self.results["gross_contact_area"][:]
         self.warnings.extend(plausibility.check_fields(*of_frames, self._settings.gauge_length_mm, self.first_frame))
-
-    def _bias(self) -> NDArray[np.float64]:
-        """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated
-        frames, as skin and contact change slowly.
-
-        Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
-        NaN if there is none.
-        """
-        result, frames = np.full(self._variance.shape, np.nan), np.arange(len(self._variance))
-        for column, values in enumerate(result.T):
-            evaluated = [(frame, bias[column]) for frame, bias in self._deformation.bias if np.isfinite(bias[column])]
-            if evaluated:
-                number, variance = np.array(evaluated).T
-                values[:] = np.interp(frames, number, variance)
-        return result
 
     def tracked_variance(self, indices: Numbers, name: str) -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
@@ -303,14 +283,12 @@ class DeformationStage(Stage):
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
         self.reference[self._inside] = np.nan
         self.reference[~touched] = np.nan
-        self.reference_px = self.inputs.geometry.on_topography(self.reference)
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
         if not self.by_onsets:
             self.onset = np.where(stays, touch.start, -1).astype(np.int32)
             self.begins = np.full_like(self.onset, self.reference_of.frame)
             self.reference = np.where(touched[:, None], self._fixed, np.nan)
-            self.reference_px = np.where(touched[:, None], self._fixed_px, np.nan)
 
     def _warn_of_unknown(self) -> None:
         touching = self.onset >= 0
@@ -341,7 +319,7 @@ class DeformationStage(Stage):
                 whole[usable] = values
         if not self.by_onsets:
             reference = np.where(touching.touching[..., None], self._fixed, np.nan)
-            exact = np.broadcast_to(self._fixed_noise_px**2, variance.shape)
+            exact = np.broadcast_to(self._fixed_noise, variance.shape)
             begins = np.broadcast_to((indices == self.reference_of.frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)

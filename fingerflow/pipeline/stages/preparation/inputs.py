@@ -13,7 +13,6 @@ from fingerflow.engines.choice import ENGINES, engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.lens import Geometry
@@ -205,7 +204,6 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
                 Geometry(scene.calibration, view, None)
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
-    warnings += plausibility.check_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
     if len(selected) == 1:
         warnings.append("one frame: nothing has moved since, displacement, divergence and strain are 0 by definition")
     return Inputs(scene, selected, times, chosen, warnings, _engine(engine, scene, chosen))

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.special import ellipe
 
 from fingerflow.kernels.arrays import is_finite
@@ -25,7 +24,8 @@ from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderF
 
 Mask = NDArray[np.bool_]
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
+Motion = Callable[[NDArray[np.intp]], Array]  # of points, in frames with these numbers
 
 # Half of the standard deviation of the mean radius of a border from `steady_border`, measured on presses: where a
 # border is too far out, onsets are as early, so that displacements vanish there, too.
@@ -67,29 +67,17 @@ class ContactEnergy:
     Args:
         measure: of strain.
         elastic: Young's modulus in MPa and Poisson's ratio, as in `triangle_strain`.
-        pairs: (K, 2) pairs of the N points whose errors correlate.
-        correlation: (K,) of their errors.
-        points: N.
+        shared: (N, N) correlations of the errors of the points.
         faint_mm: by which the border may lie further out, and displacements be short, as the rim is faint.
     """
 
-    def __init__(
-        self, measure: str, elastic: tuple[float, float], pairs: NDArray[np.integer],
-        correlation: NDArray[np.floating], points: int, faint_mm: float = 0.0,
-    ) -> None:  # fmt: skip
+    def __init__(self, measure: str, elastic: tuple[float, float], shared: Array, faint_mm: float = 0.0) -> None:
         self._radius_mm = np.hypot(_RADIUS_MM, faint_mm)
-        self._measure, self._elastic, self._functions = measure, elastic, BorderFunctions()
-        # By whether fields move at the border: number of fitted frames, last relative effect of the border.
-        self._fitted, self._by_border = {False: 0, True: 0}, {False: 0.0, True: 0.0}
-        inside = (pairs < points).all(1)
-        first, second = pairs[inside].T
-        both = np.concatenate((first, second)), np.concatenate((second, first))
-        self._shared = csr_array((np.tile(correlation[inside], 2), both), shape=(points, points))
+        self._measure, self._elastic, self._shared, self._functions = measure, elastic, shared, BorderFunctions()
 
     def estimate(
-        self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: Mask,
-        border: FrameEllipse, since_growth: Callable[[NDArray[np.intp]], Array],
-    ) -> FrameEnergies:  # fmt: skip
+        self, position: Array, displacement: Array, variance: Array, counts: Mask, border: FrameEllipse, since: Motion
+    ) -> FrameEnergies:
         """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where no point
         lies near the contact border, and where no smooth field explains the displacements.
 
@@ -102,11 +90,11 @@ class ContactEnergy:
             variance: (n, N) mm^2 of a displacement component.
             counts: (n, N) points in contact whose displacement counts from their onset.
             border: of these n frames, smoothed over time.
-            since_growth: gives, for numbers (k,) of these frames, the motion (k, N, 2) mm of all points since the
+            since: gives, for numbers (k,) of these frames, the motion (k, N, 2) mm of all points since the
                 border was `GROWTH_MM` inside its present position.
         """
         counts = counts & is_finite(displacement) & np.isfinite(variance)
-        of_point = np.maximum(variance, _LEAST_MM**2) * (1 + (self._shared @ counts.T.astype(np.float64)).T)
+        of_point = np.maximum(variance, _LEAST_MM**2) * (counts @ self._shared)
         energy, deviation = np.full((2, len(counts)), np.nan)
         result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool), np.ones(len(counts)))
         depth = border.inside(position)
@@ -116,7 +104,7 @@ class ContactEnergy:
             here = np.flatnonzero(counts[frames].any(0))
             at = np.ix_(frames, here)
             points = _Points.gather(position[at], displacement[at], of_point[at], counts[at], border.select(frames))
-            energies = self._energies(points, since_growth(frames)[:, here], depth[at])
+            energies = self._energies(points, since(frames)[:, here], depth[at])
             for values, of_some in zip(result, energies, strict=True):
                 values[frames] = of_some
         return result
@@ -167,20 +155,15 @@ class ContactEnergy:
         """Return the relative change (n,) of the strain energy in each of n frames if the contact border lay one
         standard deviation of its position further out.
 
-        They are computed in every `_BORDER_FRAMES`-th frame that has a field, and hold until the next.
+        They are computed in every `_BORDER_FRAMES`-th frame, and hold until the next.
         """
-        moves = at_border is not None
-        refitted = np.flatnonzero((self._fitted[moves] + np.arange(len(energy))) % _BORDER_FRAMES == 0)
-        self._fitted[moves] += len(energy)
-        shares = np.array([self._by_border[moves]])
-        if len(refitted):
-            wider = points.select(refitted)
-            wider = wider._replace(axes=wider.axes + self._radius_mm)
-            field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[refitted])
-            larger, _, more = self._field_energies(field, wider)
-            shares = np.append(shares, (larger + np.trace(more, axis1=1, axis2=2)) / energy[refitted] - 1)
-        self._by_border[moves] = float(shares[-1])
-        return shares[np.searchsorted(refitted, np.arange(len(energy)), side="right")]
+        some = slice(None, None, _BORDER_FRAMES)
+        wider = points.select(some)
+        wider = wider._replace(axes=wider.axes + self._radius_mm)
+        field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[some])
+        larger, _, more = self._field_energies(field, wider)
+        shares = (larger + np.trace(more, axis1=1, axis2=2)) / energy[some] - 1
+        return shares.repeat(_BORDER_FRAMES)[: len(energy)]
 
     def _field_energies(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
         """Return the elastic energies (n,) of displacement fields, their gradients (n, K, 2) in the K fit coefficients,
@@ -244,7 +227,7 @@ class _Points(NamedTuple):
         weight = np.where(counts, 1 / np.where(counts, variance, 1), 0.0)
         return cls(turn @ from_centre, moved, weight, border.semi_axes, turn)
 
-    def select(self, frames: NDArray[np.intp]) -> "_Points":
+    def select(self, frames: NDArray[np.intp] | slice) -> "_Points":
         return _Points(*(values[frames] for values in self))
 
     def on_disc(self) -> tuple[Array, Array, Array]:

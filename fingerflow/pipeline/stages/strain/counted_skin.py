@@ -46,10 +46,10 @@ class CountedSkin:
     def __init__(self, stage: DeformationStage, results: Store, frames: int) -> None:
         self._stage, self._position, self.by_onsets = stage, results["position"], stage.by_onsets
         onset = np.where(stage.onset < 0, frames, stage.onset)
-        reference, reference_px = stage.reference.copy(), stage.reference_px.copy()
-        reference[stage.entered] = reference_px[stage.entered] = np.nan
+        reference = stage.reference.copy()
+        reference[stage.entered] = np.nan
         skins = [(np.ones(len(onset), bool), frames)]
-        if stage.by_onsets and stage.some_later and not stage.trial.stage(TrackingStage).backward:
+        if not stage.trial.stage(TrackingStage).backward:
             skins = _skins(results["status"], stage.seeded)
         both: list[list[NDArray[np.int32]]] = []
         for points, _ in skins:
@@ -75,7 +75,7 @@ class CountedSkin:
         self._then = then("position")
         self._variance = (then("position_noise_px") * stage.mm_per_px) ** 2
         self.reference = np.concatenate([reference, self._then])
-        self.positions_px = np.concatenate([reference_px, then("position_px")])
+        self.positions_px = stage.inputs.geometry.on_topography(self.reference)
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
         self.independent = np.concatenate([stage.independent, np.zeros(len(since))])
@@ -88,9 +88,7 @@ class CountedSkin:
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
-        # Skin that came later may have left again, so the last frame does not show all of it.
-        positions = stage.common_position if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
-        triangles = triangulate(np.where((points & (stage.onset >= 0))[:, None], positions, np.nan))
+        triangles = triangulate(np.where((points & (stage.onset >= 0))[:, None], stage.common_position, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
     def _distorted_by_onsets(

@@ -28,22 +28,15 @@ class MissingEnergy:
 
         Densities are NaN where they are unknown.
         """
-        result, energies = np.zeros(len(density)), density * self._area
-        finite = np.isfinite(energies)
-        seen, lost = in_contact & finite, in_contact & ~finite
-        triangles = np.flatnonzero(lost.any(0))  # triangles that are lost in any of these frames
-        if len(triangles):
-            # Row of `energies`, counted from 1, in which the energy of each triangle was known last.
-            number = np.arange(1, len(density) + 1)[:, None]
-            when = np.maximum.accumulate(np.where(finite[:, triangles], number, 0), axis=0)
-            last = np.where(when > 0, energies[when - 1, triangles], self._last[triangles])
-            for k in np.flatnonzero(seen.any(1) & lost.any(1)):
-                seen_area = self._area[seen[k]]
-                mean = energies[k, seen[k]].sum() / seen_area.sum()
-                gone = self._area[lost[k]]
-                spread = seen_area @ np.square(density[k, seen[k]] - mean) / seen_area.sum()
-                change = last[k, lost[k, triangles]].sum() - mean * gone.sum()
-                result[k] = np.sqrt(change**2 + _OF_A_POINT * spread * np.square(gone).sum())
-        triangles = np.flatnonzero(finite.any(0))
-        self._last[triangles] = energies[len(energies) - 1 - finite[::-1].argmax(0)[triangles], triangles]
-        return result
+        energies, known = np.concatenate((self._last[None], density * self._area)), np.isfinite(density)
+        # Row of `energies` in which the energy of each triangle was known last.
+        when = np.where(np.isfinite(energies), np.arange(len(energies))[:, None], 0)
+        last = np.take_along_axis(energies, np.maximum.accumulate(when), axis=0)
+        self._last = last[-1]
+        seen, lost = self._area * (in_contact & known), self._area * (in_contact & ~known)
+        with np.errstate(invalid="ignore"):  # where no triangle is known
+            share = seen / seen.sum(1, keepdims=True)
+        mean = (share * np.where(known, density, 0)).sum(1, keepdims=True)
+        spread = (share * np.where(known, density - mean, 0) ** 2).sum(1)
+        change = np.where(lost > 0, last[1:] - mean * lost, 0).sum(1)
+        return np.nan_to_num(np.sqrt(change**2 + _OF_A_POINT * spread * (lost**2).sum(1)))

@@ -1,6 +1,5 @@
 """Strain of the triangles between tracked points, and strain energy of the skin in contact."""
 
-from bisect import bisect_left
 from typing import Any
 
 import numpy as np
@@ -105,7 +104,10 @@ class StrainStage(Stage):
         # Energy lacks a faint rim of the contact and, of the rest, the displacement before the later onset.
         faint_mm = 2 * self.trial.stage(ContactStage).faint_rim_mm
         self._border_mm = np.hypot(BORDER_MM, faint_mm)
-        self._whole = ContactEnergy(self._settings.strain, self._elastic, *shared[1:], len(moved.onset), faint_mm)
+        points = np.arange(len(moved.onset))
+        of_points = errors.between(points[:, None], points)
+        np.fill_diagonal(of_points, 1)
+        self._whole = ContactEnergy(self._settings.strain, self._elastic, of_points, faint_mm)
         self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
         self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
@@ -165,10 +167,7 @@ class StrainStage(Stage):
         lost = (energy - left).clamp_min(0) * energy / torch.maximum(left, energy / 3 + 1e-30)
         return lost.cpu().numpy()
 
-    def _sum_up(
-        self, batch: Batch, touching: Mask, density: Array, between: Series,
-        between_std: Series,
-    ) -> None:  # fmt: skip
+    def _sum_up(self, batch: Batch, touching: Mask, density: Array, between: Series, between_std: Series) -> None:
         """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
         triangles between points, and that of all skin in contact.
         """
@@ -251,9 +250,7 @@ class StrainStage(Stage):
     def finish(self) -> None:
         gross, depth = self.results["gross_contact_area"][:], self._settings.depth_mm
         self.warnings.extend(
-            plausibility.check_energy(
-                self._energy, gross, self._misfit, self._settings.gauge_length_mm, self.first_frame
-            )
+            plausibility.check_energy(gross, self._misfit, self._settings.gauge_length_mm, self.first_frame)
         )
         for name in _ENERGIES:
             # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
@@ -305,15 +302,6 @@ def _growth(radius: Series) -> NDArray[np.intp]:
     """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
     within `GROWTH_MM` of its value there, or larger.
     """
-    result = np.zeros(len(radius), np.intp)
-    # Earlier frames that no later one has a smaller radius than, and their radii, which ascend.
-    frames, radii = list[int](), list[float]()
-    for frame, size in enumerate(np.where(np.isfinite(radius), radius, -np.inf).tolist()):
-        smaller = bisect_left(radii, size - GROWTH_MM)
-        result[frame] = frames[smaller - 1] + 1 if smaller else 0
-        while radii and radii[-1] >= size:
-            frames.pop()
-            radii.pop()
-        frames.append(frame)
-        radii.append(size)
-    return result
+    sizes = np.where(np.isfinite(radius), radius, -np.inf)
+    smaller = (np.flatnonzero(sizes[:frame] < size - GROWTH_MM) for frame, size in enumerate(sizes))
+    return np.array([frames[-1] + 1 if len(frames) else 0 for frames in smaller], np.intp)

@@ -80,41 +80,30 @@ class NewSkin:
         if before is not None:
             old = len(before[0])
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
-        followed, far, side = np.flatnonzero(tracked), self._window / 2 * self._per_px, self._cell * _STEP
-        # Nearest points are searched only for cells that touch, or soon may, without a point nearby: a press has few.
-        cells_ahead = int(_AHEAD * np.nanmax(np.abs(way[followed]), initial=0.0) / side) + 1
-        square = np.ones((2 * min(cells_ahead, max(touching.shape)) + 1,) * 2, np.uint8)
-        empty = np.pad(cv2.dilate(touching.astype(np.uint8), square), 1)  # with a border for points outside
-        around = np.arange(-int(far / side) - 1, int(far / side) + 2)
-        number = np.floor((position[followed] + 0.5) / side).astype(int)[..., None] + around
-        apart = ((number * _STEP + 0.5) * self._cell - 0.5 - position[followed, :, None]) ** 2
-        point, down, across = np.nonzero(apart[:, 1, :, None] + apart[:, 0, None] <= far**2)
-        row, column = number[point, 1, down], number[point, 0, across]
-        empty[row.clip(-1, touching.shape[0]) + 1, column.clip(-1, touching.shape[1]) + 1] = 0
-        cells = np.flatnonzero(empty[1:-1, 1:-1])
-        if not len(cells):
-            return None
         rows, columns = np.indices(touching.shape)
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
-        tree = cKDTree(position[followed])
-        nearest = tree.query(at[cells])[1]
-        soon = self._in(touching, at[cells]) | self._in(touching, at[cells] + _AHEAD * way[followed[nearest]])
-        if not soon.any():
+        followed, window = np.flatnonzero(tracked), self._window * self._per_px
+        nearest = followed[self._nearest(position[followed], contact.shape)[1]]
+        # Skin that touches, or soon will, farther than half a window from any point.
+        bare = self._nearest(position, contact.shape)[0] > window / 2
+        bare &= self._in(touching, at) | self._in(touching, at + _AHEAD * way[nearest])
+        bare[bare] = self._is_new(at[bare], moved[nearest[bare]], seeding[nearest[bare]])
+        if bare.sum() * (_STEP * self._cell) ** 2 < window**2:
             return None
-        cells, nearest = cells[soon], followed[nearest[soon]]
-        new = cKDTree(position).query(at[cells])[0] > far
-        new[new] = self._is_new(at[cells[new]], moved[nearest[new]], seeding[nearest[new]])
-        if new.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
-            return None
-        nearest = followed[tree.query(at)[1]]
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
         downstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0)
-        window = self._window * self._per_px
         reach = np.clip(_AHEAD * length, window, window + self._cell * _STEP * max(touching.shape))
         steps = np.arange(0, reach.max() + _STRIDE * window, _STRIDE * window)
         seeded = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
         seeded[seeded] = self._is_new(at[seeded], moved[nearest[seeded]], seeding[nearest[seeded]])
         return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(pixels)
+
+    def _nearest(self, position: Points, shape: tuple[int, ...]) -> tuple[Values, NDArray[np.intp]]:
+        """Return the distance (K,) px of every second cell from the nearest point of `position` (N, 2) px, to half a
+        cell, and the index (K,) of that point; `shape` is that of all cells.
+        """
+        distance, nearest = distances((position + 0.5) / self._cell - 0.5, shape)
+        return self._cell * distance[::_STEP, ::_STEP].ravel(), nearest[::_STEP, ::_STEP].ravel()
 
     def _around(self, touching: Mask) -> Mask:
         """Return the mask (h, w) of the topographic view around a contact that has just begun, as far as the first
@@ -154,15 +143,24 @@ class NewSkin:
         """Return the mask (h, w) of the pixels of the topographic view that lie nearer to a point of `position` (N, 2)
         px than half the median spacing of the points.
         """
-        height, width = self.searched[0].shape
-        column, row = np.rint(position[np.isfinite(position).all(1)]).astype(int).T
         if len(position) < 2:
-            return np.zeros((height, width), dtype=bool)
-        away = np.ones((height, width), np.uint8)
-        inside = _look_up(away > 0, row, column)
-        away[row[inside], column[inside]] = 0
-        distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
-        return distance < np.median(cKDTree(position).query(position, k=2)[0][:, 1]) / 2  # of their spacing
+            return np.zeros(self.searched[0].shape, dtype=bool)
+        spacing = np.median(cKDTree(position).query(position, k=2)[0][:, 1])
+        return distances(position, self.searched[0].shape)[0] < spacing / 2
+
+
+def distances(points: Points, shape: tuple[int, ...]) -> tuple[Values, NDArray[np.intp]]:
+    """Return the distance (h, w) px of every pixel of a picture from the nearest of the points (N, 2) px in it, to half
+    a pixel, and the index (h, w) of that point.
+    """
+    column, row = np.rint(points).astype(int).T
+    inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0]))
+    away = np.ones(shape, np.uint8)
+    away[row[inside], column[inside]] = 0
+    distance, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    point = np.zeros(labels.max() + 1, np.intp)
+    point[labels[row[inside], column[inside]]] = inside
+    return np.asarray(distance, np.float32), point[labels]
 
 
 def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:

@@ -60,7 +60,7 @@ class TrackingStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (
-        *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
+        *("kind", "tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
         *("contact.appears", "contact.gross_radius_px"),
         *(*SCALE_KEYS, "calibration.topography_to_contact"),
     )
@@ -83,10 +83,6 @@ class TrackingStage(Stage):
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
         self._held = np.full(len(trial), np.nan)
 
-    @classmethod
-    def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
-        return any(stage.follows_border for stage in planned)
-
     @property
     def backward(self) -> bool:
         return self._settings.direction == "backward"
@@ -94,9 +90,7 @@ class TrackingStage(Stage):
     def begin(self) -> None:
         """Find the contact region in which points are to be seeded, and warn if no contact is found."""
         contact = self.trial.stage(ContactStage)
-        border = self.depends_on(self.trial.planned)
-        window = self._settings.window_px
-        self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
+        self._region = contact.seeding_region(self._settings.window_px)
         if not self._region.any():
             causes = "contact.threshold, frame rate and trigger, then the views"
             self.warnings.append(f"no contact at {contact.moment}: there are no points. Check {causes}")
