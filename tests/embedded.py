@@ -74,7 +74,6 @@ def cases(batch: int = 2) -> dict[str, Case]:
         "detect_corners - floating": Case(ops.detect_corners, (gray, 20)),
         "divergence": Case(ops.divergence, (gradient,)),
         "green_lagrange": Case(ops.green_lagrange, (gradient,)),
-        "helmholtz_hodge": Case(ops.helmholtz_hodge, (gray.expand(-1, 2, -1, -1) / 100, first > 100)),
         "local_gradients": Case(
             lambda points, values: ops.local_gradients(points, values, gauge_length=60.0), (points, moved)
         ),

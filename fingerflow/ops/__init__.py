@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from fingerflow.ops.fields.strain import green_lagrange as green_lagrange
     from fingerflow.ops.fields.strain import strain_energy_density as strain_energy_density
     from fingerflow.ops.fields.triangles import triangle_gradients as triangle_gradients
-    from fingerflow.ops.fields.vector_parts import helmholtz_hodge as helmholtz_hodge
     from fingerflow.ops.filters.illumination import normalize_illumination as normalize_illumination
     from fingerflow.ops.filters.median import median_filter as median_filter
     from fingerflow.ops.flow.dense_flow import dense_flow as dense_flow
@@ -27,7 +26,6 @@ _HOMES = {
     "detect_corners": "tracking.corners",
     "divergence": "fields.strain",
     "green_lagrange": "fields.strain",
-    "helmholtz_hodge": "fields.vector_parts",
     "local_gradients": "fields.local_fit",
     "median_filter": "filters.median",
     "normalize_illumination": "filters.illumination",

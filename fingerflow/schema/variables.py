@@ -431,13 +431,6 @@ SLIP = (
     Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show",
         equation="share of the gross contact within half a window of a tracked point", shown_in=PERCENT,
         label="contact seen by the windows"),
-    Variable("slip_annulus_area", FRAME, "mm2", "area of the contact whose skin has slipped",
-        equation="(1 − d²) gross_contact_area"),
-    Variable("slip_direction", FRAME, "rad",
-        "direction of the mean displacement of the skin in contact that has slipped, from x towards y",
-        equation="atan2(mean v, mean u) over the points that have slipped"),
-    Variable("slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped",
-        equation="|mean of (x(t + 25 ms) − x(t − 25 ms))| / 50 ms over the points that have slipped"),
     *(variable for half, where in (("leading", "towards which"), ("trailing", "from which")) for variable in (
         Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the half of the "
             f"contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
@@ -445,18 +438,6 @@ SLIP = (
         Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise² + slope²), "
             "slope that of an error gross_contact_area_std / √2, whose correlation over a way s of the skin is "
             "exp(−(π s / (2 contact.gross_radius_px))²)"))),
-    Variable("incipient_slip", FRAME, "mm",
-        "root mean square over the contact of the displacement since the first frame without its best rigid motion",
-        equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE),
-    Variable("incipient_slip_irrotational", FRAME, "mm",
-        "root mean square of the part of incipient_slip that its divergence makes: natural Helmholtz-Hodge "
-        "decomposition, no boundary condition (Bhatia et al. 2014)",
-        equation="√(∫ |∇φ|² dA / A), ∇²φ = div of the residual displacement", shown_in=MICROMETRE,
-        label="incipient slip, irrotational part"),
-    Variable("incipient_slip_solenoidal", FRAME, "mm",
-        "root mean square of the part of incipient_slip that its curl makes",
-        equation="√(∫ |∇×ψ|² dA / A), ∇²ψ = −curl of the residual displacement", shown_in=MICROMETRE,
-        label="incipient slip, solenoidal part"),
     Variable("skin_displacement", (*CELLS, "xy"), "mm",
         "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame", "f4",
         equation="u by dense flow at the places of the first frame", shown_in=MICROMETRE, needs=("dense_flow_slip",)),
@@ -478,9 +459,6 @@ STREAM = (
         equation="number of the frame that templates are from"),
     Variable("restart", FRAME, "1", "how often points had been seeded: points of two restarts are different points",
         "i4", equation="count of seedings", label="seedings of points"),
-    Variable("slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4",
-        equation="√(mean |u − (R X + t)|²) over the points in contact", shown_in=MICROMETRE,
-        label="non-rigid motion since touch"),
     Variable("slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
         "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > 2 √(|a + d|² + |b|²)",
         label="slip"),

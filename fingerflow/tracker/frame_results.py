@@ -35,7 +35,7 @@ RESULTS = (
     *("median_strain", "median_strain_std"),
     *("global_displacement_vector", "global_displacement_vector_std"),
     *("global_displacement", "global_displacement_std"),
-    *("slip_residual", "slip_flag"),
+    "slip_flag",
 )
 
 
@@ -102,9 +102,9 @@ class FrameResults:
         variance = points.variance  # by image noise
         curvature, sizes = self._curvature.update(points.points) + pull, self.on_glass.sizes(contact)
         noise_px, self._sizes = np.sqrt(variance), sizes
-        residual, slipping = np.empty(len(covered)), np.empty(len(covered), dtype=bool)
+        slipping = np.empty(len(covered), dtype=bool)
         for k in range(len(covered)):
-            residual[k] = self.slip.update(points.points[k], noise_px[k], covered[k])
+            self.slip.update(points.points[k], noise_px[k], covered[k])
             slipping[k] = self.slip.slipping
         skin = SkinFrames(numbers, covered, self._geometry.on_glass(points.points), variance, curvature, sizes.ellipse)
         now = self._deformation.step(skin, self)
@@ -126,7 +126,7 @@ class FrameResults:
             **{"median_strain": median[:, 2:], "median_strain_std": median_std[:, 2:]},
             **{"global_displacement_vector": now.vector, "global_displacement_vector_std": now.vector_std},
             **{"global_displacement": length, "global_displacement_std": length_std},
-            **{"slip_residual": residual * self._per_px, "slip_flag": slipping},
+            "slip_flag": slipping,
         }
 
     def _batch(self, covered: Array) -> int:

@@ -37,7 +37,6 @@ ENTRIES = ["axes", "sign", "pixel centre", "dtype", "NaN", "border"]
 #: Which inputs of an op are images or numbers whose dtype counts.
 FLOATING = {
     "dense_flow": (0, 1),
-    "helmholtz_hodge": (0,),
     "local_gradients": (0, 1),
     "normalize_illumination": (0, 1),
     "scattered_to_grid": (0, 1),
@@ -286,18 +285,12 @@ def nan_triangles() -> None:
     assert found[0, 1].isfinite().all()
 
 
-def nan_parts() -> None:
-    for part in ops.helmholtz_hodge(frame().expand(-1, 2, -1, -1)):
-        assert torch.equal(part.isnan(), around(0).expand_as(part))
-
-
 OF_NAN: dict[str, Callable[[], None]] = {
     "curl": lambda: elementwise(ops.curl, gradients().flip(-2)),  # NaN in one of its two components
     "dense_flow": nan_flow,
     "detect_corners": nan_corners,
     "divergence": lambda: elementwise(ops.divergence, gradients()),
     "green_lagrange": lambda: elementwise(ops.green_lagrange, gradients()),
-    "helmholtz_hodge": nan_parts,
     "local_gradients": lambda: nan_points("local_gradients"),
     "median_filter": nan_median,
     "normalize_illumination": nan_light,
@@ -317,7 +310,7 @@ def test_not_a_number(name: str) -> None:
 
 BLANK, IMAGE, MASK = torch.zeros(2, 1, 9, 9), torch.ones(1, 1, 9, 9), torch.zeros(1, 1, 9, 9).bool()
 NODES, TRIANGLE, GRID = torch.zeros(2, 5, 2), torch.tensor([[0, 1, 2]]), torch.linspace(-1, 1, 3)
-FIELD, NO_GRADIENT, STRAIN = torch.ones(1, 2, 9, 9), torch.zeros(2, 2), torch.zeros(3)
+NO_GRADIENT, STRAIN = torch.zeros(2, 2), torch.zeros(3)
 DISC = FrameEllipse(torch.zeros(1, 2), torch.ones(1, 2), torch.zeros(1))
 MEASURES = "green_lagrange, as_printed, infinitesimal"
 
@@ -326,7 +319,6 @@ FITTED: dict[Callable[..., Any], dict[str, Any]] = {
     area_medians: {**{"reference": NODES[:1], "displacement": NODES[:1], "ellipse": DISC, "gauge_length": 1.0}},
     ops.detect_corners: {"frame": IMAGE},
     ops.dense_flow: {"first": BLANK[:1], "current": BLANK[:1]},
-    ops.helmholtz_hodge: {"field": FIELD},
     ops.local_gradients: {"points": NODES, "values": NODES, "gauge_length": 1.0},
     ops.normalize_illumination: {"frames": BLANK, "reference": BLANK},
     ops.scattered_to_grid: {
@@ -412,10 +404,6 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (ops.triangle_gradients, {"minimum_quality": 1.5}, r"1\.5"),
     (rigid_residual, {"displacement": torch.zeros(2, 5, 3)}, r"\(2, 5, 3\)"),
     (rigid_residual, {"weights": torch.ones(1, 4)}, r"\(1, 4\)"),
-    (ops.helmholtz_hodge, {"field": FIELD.long()}, r"floating, found torch\.int64"),
-    (ops.helmholtz_hodge, {"field": torch.ones(1, 3, 9, 9)}, r"\(B, 2, H, W\), found \(1, 3, 9, 9\)"),
-    (ops.helmholtz_hodge, {"mask": IMAGE}, r"bool, found torch\.float32"),
-    (ops.helmholtz_hodge, {"mask": MASK[..., 1:]}, r"\(1, 1, 9, 9\), found \(1, 1, 9, 8\)"),
     (ops.divergence, {"gradient": torch.zeros(3, 2)}, r"\(3, 2\)"),
     (ops.strain_energy_density, {"strain": torch.zeros(4, 2)}, r"\(4, 2\)"),
     *[(ops.strain_energy_density, {"poisson_ratio": one}, f"found {one}") for one in (0.5, -1.0, math.nan)],

@@ -254,7 +254,7 @@ def test_the_newest_frame_waits_for_an_output_that_is_busy(sent_within: float, m
 
 
 VALUES = {one: VARIABLES[one] for one in ("real_contact_area", "gross_contact_area", "median_divergence", "slip_flag")}
-VALUES |= {one: VARIABLES[one] for one in ("slip_residual", "normal_force", "ellipse_angle")}
+VALUES |= {one: VARIABLES[one] for one in ("normal_force", "ellipse_angle")}
 
 
 @pytest.mark.parametrize(

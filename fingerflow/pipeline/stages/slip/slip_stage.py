@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
@@ -15,8 +14,6 @@ from scipy.spatial import cKDTree
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.models import partial_slip
 from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
-from fingerflow.ops import helmholtz_hodge
-from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid, growth_rates
@@ -34,8 +31,6 @@ Array = NDArray[Any]
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
-_SPEED_S = 0.05  # s, time over which a speed is measured
-_FEWEST_POINTS = 3  # least number of slipping points that define a direction
 _RATIO_NOISE = 0.006  # standard deviation of d^2 in a frame, measured on rendered trials
 # Ratio of the least slip limit to the displacement of the contour along which displacements are averaged: noise may be
 # half of it at most.
@@ -108,7 +103,6 @@ class SlipStage(Stage):
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
         step = float(np.median(np.diff(self.inputs.times))) if len(trial) > 1 else 1.0
         self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
-        self._speed_step = max(1, round(_SPEED_S / 2 / step))
         # (2, 2) matrix from px of the topographic view to mm.
         self._of_px = self.inputs.geometry.topography_to_contact[:, :2] * self.inputs.mm_per_px
 
@@ -223,9 +217,9 @@ class SlipStage(Stage):
         judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": settings.criterion, "stuck_mm": self._limit()}
         power = {} if not (border and border.fit) else {"power": border.fit.power, "power_std": border.fit.power_std}
-        self.about |= {"stuck_area": limit, "slip_annulus_area": limit, "stuck_ratio": limit | power | judged}
+        self.about |= {"stuck_area": limit, "stuck_ratio": limit | power | judged}
         self.about["printed_stuck_ratio"] = {"stuck_mm": settings.stuck_mm}
-        self.series |= {"stuck_area": ratio * self._area, "slip_annulus_area": (1 - ratio) * self._area}
+        self.series["stuck_area"] = ratio * self._area
         ridge_mm = 2 * self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
         area_std = self.results["gross_contact_area_std"][:]
         rates, rates_std = growth_rates(self._growth, self.inputs.times, self._area, area_std, ridge_mm)
@@ -239,9 +233,8 @@ class SlipStage(Stage):
         return math.nan if self._border is None else self._border.level
 
     def _find_stuck(self, first: int, end: int, grid: SlipGrid, criterion: "StuckBorder | Length") -> None:
-        """Find the stick region and the mean velocity of slipping skin in frames `first` to `end` - 1."""
-        margin = max(self._beside, self._speed_step)
-        start, stop = max(0, first - margin), min(len(self.trial), end + margin)
+        """Find the stick region in frames `first` to `end` - 1."""
+        start, stop = max(0, first - max(self._beside, 1)), min(len(self.trial), end + self._beside)
         motion = self._motion(slice(start, stop))
         measured = self._measured(slice(start, stop)) if criterion is self._border else None
         regions = self.results["gross_contact_region"][slice(start, stop)] > 0
@@ -266,30 +259,10 @@ class SlipStage(Stage):
             by_length = _largest(printed.stuck(moved, displacement, region))
             self.series["printed_stuck_ratio"][frame] = grid.share(by_length, region)
             stuck[k] = grid.cells(fine) & region
-            slips = (grid.sample_points(fine) == 0) & grid.covered(self._first[self._known] + moved, region)
-            self._look_at_slip(frame, start, motion, moved, slips, grid)
-            for name, length in _incipient(displacement, region & grid.known, grid).items():
-                self.series[name][frame] = length
             if frame > start:
                 earlier, later = (self._point_displacement(motion[at - start], grid) for at in (frame - 1, frame))
                 self._growth[:, frame] = grid.growth((regions[frame - 1 - start], region), earlier, later, self._pull)
         self.results["stuck_region"][slice(first, end)] = stuck
-
-    def _look_at_slip(self, frame: int, start: int, motion: Array, moved: Series, slips: Mask, grid: SlipGrid) -> None:
-        """Store the direction, rad, of the mean displacement and the mean speed, mm/s, of slipping skin in a frame,
-        from the points that the mask `slips` marks; `motion` is that of the frames from `start` on.
-        """
-        if slips.sum() < _FEWEST_POINTS:
-            return
-        x, y = np.nanmean(moved[slips], axis=0)
-        self.series["slip_direction"][frame] = math.atan2(y, x)
-        before, after = max(0, frame - self._speed_step), min(len(self.trial) - 1, frame + self._speed_step)
-        if after > before:
-            ends = [self._point_displacement(motion[at - start], grid)[slips] for at in (before, after)]
-            way = (ends[1] - ends[0])[np.isfinite(ends[0] + ends[1]).all(-1)]
-            if len(way) >= _FEWEST_POINTS:
-                seconds = self.inputs.times[after] - self.inputs.times[before]
-                self.series["slip_speed"][frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
     def _judged(self, ratio: Series, forces: Series | None, deviation: Series) -> partial_slip.TrialVerdict:
         start = "in the first frame, from which displacement counts: set [recording] first_frame"
@@ -352,21 +325,3 @@ def _largest(fine: Mask) -> Mask:
     """Return the largest 8-connected part of a mask (H, W), or the first in reading order of equally large ones."""
     parts, _ = label(fine, np.ones((3, 3)))
     return fine & (parts == np.bincount(parts[fine], minlength=1).argmax())
-
-
-def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> dict[str, float]:
-    """Return RMS values, mm, by name over the contact of the displacement that remains without rigid motion: of all of
-    it, and of its irrotational and its solenoidal part (Helmholtz-Hodge).
-    """
-    positions = torch.from_numpy(grid.centers).reshape(1, -1, 2)
-    weights = torch.from_numpy(region).reshape(1, -1).double()
-    moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
-    left = rigid_residual(positions, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
-    parts = helmholtz_hodge(left, torch.from_numpy(region)[None, None])
-    fields = {
-        "incipient_slip": left,
-        "incipient_slip_irrotational": parts.irrotational,
-        "incipient_slip_solenoidal": parts.solenoidal,
-    }
-    inside = torch.from_numpy(region)
-    return {name: float(field.square().sum(1)[0][inside].nanmean().sqrt()) for name, field in fields.items()}
