@@ -18,7 +18,7 @@ _OWN = (
     *(VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
 )
 _NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
-_MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
+_MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "b1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
 
 
 def _entry(variable: Variable, dtype_code: str, shape: tuple[int, ...]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from fingerflow.results.store import indexed_by_time
 from fingerflow.schema.text_file import check_file
 
 _OF_NETCDF = {
-    *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
+    *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates", "dtype"),
     *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
 }
 
@@ -77,15 +77,11 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> xr.D
     of :func:`load_result`, which opens every variable of the file first; for a small recording that takes longer than a
     stage.
     """
-    described = set(described)
     with h5py.File(path) as file:
         stored = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
+        about = {name: _attributes(file[name]) for name in described if name in file}
         variables = {
-            name: (
-                [f"{name} {axis}" for axis in range(dataset.ndim)],
-                dataset[()],
-                _attributes(dataset) if name in described else {},
-            )
+            name: ([f"{name} {axis}" for axis in range(dataset.ndim)], dataset[()], about.get(name, {}))
             for name, dataset in stored
         }
         return xr.Dataset(variables, attrs=_attributes(file))

@@ -169,6 +169,8 @@ class FileStore(Store):
 
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
         fill, dtype = _fill(variable)
+        if dtype == "?":  # as xarray writes truth values, which NetCDF has not
+            dtype, attributes = "u1", {**attributes, "dtype": "bool"}
         layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(dtype).kind == "f" else {}
         sides = list(zip(variable.dims, shape, strict=True))
         if _GROWING in variable.dims:
@@ -186,7 +188,7 @@ class FileStore(Store):
         if "frame" in variable.dims:
             attributes = {**attributes, "coordinates": "time"}
         _describe(stored, attributes)
-        return _Stored(stored, self._path)
+        return _Stored(stored, self._path, variable.dtype)
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
         values = self._values[name]
@@ -254,8 +256,8 @@ class _Stored:
     order.
     """
 
-    def __init__(self, variable: h5py.Dataset, path: Path) -> None:
-        self._variable, self._path, self.shape = variable, path, tuple(variable.shape)
+    def __init__(self, variable: h5py.Dataset, path: Path, dtype: str) -> None:
+        self._variable, self._path, self._dtype, self.shape = variable, path, dtype, tuple(variable.shape)
 
     def resize(self, size: int, axis: int) -> None:
         """Change the length of an axis of the array."""
@@ -264,7 +266,7 @@ class _Stored:
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         frames, step = self._consecutive(index)
-        return self._variable[frames][::step]
+        return self._variable[frames][::step].astype(self._dtype, copy=False)
 
     def __setitem__(self, index: Any, values: Any) -> None:
         frames, step = self._consecutive(index)

@@ -197,7 +197,7 @@ CONTACT = (
         equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse"),
     Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
         equation="1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
-    Variable("gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
+    Variable("gross_contact_region", CELLS, "1", "whether the gross contact covers a cell of the contact view", "?",
         equation="1 in cells of the gross contact", unasked=False),
 )
 
@@ -252,7 +252,7 @@ TRACKING = (
         equation="|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)", label="forward-backward error"),
     Variable("status", FRAME_POINT, "1", "why a point has a position, or none", "u1",
         equation="first test that a point has not passed", flags=TRACK_STATUS),
-    Variable("in_contact", FRAME_POINT, "1", "1 where the gross contact covers the point, or its last place", "u1",
+    Variable("in_contact", FRAME_POINT, "1", "whether the gross contact covers the point, or its last place", "?",
         equation="1[position inside the gross contact]"),
     Variable("tracked_share", FRAME, "1", "share of the points that are tracked",
         equation="mean of 1[status = 0] over the points", shown_in=PERCENT, label="points tracked"),
@@ -425,7 +425,7 @@ SLIP = (
         "d² as Terekhov & Hayward 2011 print it: share of the contact whose skin has moved by less than 40 µm",
         equation="largest connected share of the gross contact with |u| < slip.stuck_mm",
         label="stick ratio d² as printed"),
-    Variable("stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1",
+    Variable("stuck_region", CELLS, "1", "whether the skin has not slipped", "?",
         equation="1 in cells of the largest connected part of the contact that has not slipped (slip.criterion)",
         label="stick region"),
     Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show",
@@ -459,8 +459,8 @@ STREAM = (
         equation="number of the frame that templates are from"),
     Variable("restart", FRAME, "1", "how often points had been seeded: points of two restarts are different points",
         "i4", equation="count of seedings", label="seedings of points"),
-    Variable("slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
-        "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > 2 √(|a + d|² + |b|²)",
+    Variable("slip_flag", FRAME, "1", "whether the rim of the contact has moved past its middle in three frames: slip",
+        "?", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > 2 √(|a + d|² + |b|²)",
         label="slip"),
     Variable("illumination_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",
         equation="g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass"),
@@ -470,8 +470,8 @@ STREAM = (
         equation="√(std(divergence)² + std(curl)²) / 2 of exx and eyy, that over √2 of exy",
         shown_in=UM_PER_MM),
     Variable("entered", FRAME_POINT, "1",
-        "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
-        "entry, its neighbours from that moment", "u1",
+        "whether a point came into contact by moving into it: divergence, curl and strain there count from its own "
+        "entry, its neighbours from that moment", "?",
         equation="1 where neighbours that touch have moved by an eighth of the gauge length, in the median",
         label="moved into contact"),
 )

@@ -12,7 +12,7 @@ from fingerflow.results.result import load_result, read_own
 from fingerflow.results.store import FileStore, MemoryStore, Store
 
 FRAMES = 20
-NAMES = ("position", "status", "real_contact_area", "normal_force", "strain", "strain_energy_density")
+NAMES = ("position", "status", "in_contact", "real_contact_area", "normal_force", "strain", "strain_energy_density")
 
 
 def _fill(store: Store, points: int) -> None:
@@ -23,6 +23,7 @@ def _fill(store: Store, points: int) -> None:
         store["position"][some] = random.normal(size=(len(some), points, 2))
         if some[0] != 8:  # the other frames are never written
             store["status"][some] = random.integers(0, 9, (len(some), points))
+    store.put("in_contact", random.random((FRAMES, points)) < 0.5)
     store.put("real_contact_area", random.normal(size=FRAMES))
     store.put("normal_force", random.normal(size=FRAMES), {"verdict": "text", "limit": 0.5})
     store.put("strain", random.normal(size=(FRAMES, 2 * points, 3)), triangle=2 * points)
@@ -46,6 +47,7 @@ def test_a_file_holds_what_memory_does(points: int, tmp_path: Path) -> None:
     stored = load_result(path)
     xr.testing.assert_identical(stored.drop_attrs(), expected.drop_attrs())
     assert list(stored.data_vars) == list(NAMES)
+    assert stored["in_contact"].dtype == bool
     for name in expected.variables:
         assert stored[name].dtype == expected[name].dtype or name in ("xy", "strain_component")
         for key, value in expected[name].attrs.items():

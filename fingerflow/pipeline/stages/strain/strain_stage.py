@@ -122,7 +122,7 @@ class StrainStage(Stage):
 
     def step(self, batch: Batch) -> None:
         moved, noise, curvature = self._skin.moved(batch.steps[DeformationStage], batch.indices)
-        touching = self._sum_corners(self.results["in_contact"][batch.indices]) >= 2
+        touching = self._sum_corners(self.results["in_contact"][batch.indices].astype(np.uint8)) >= 2
         touching &= (batch.indices[:, None] >= self._skin.begins) & (batch.indices[:, None] < self._skin.ends)
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
         # counts in the deviations.
