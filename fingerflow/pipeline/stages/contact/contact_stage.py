@@ -13,6 +13,7 @@ from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -24,8 +25,6 @@ from fingerflow.schema.variables import CONTACT, sparse_border_mm
 from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
-
-Mask = NDArray[np.bool_]
 
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
@@ -188,7 +187,7 @@ class ContactStage(Stage):
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
         return np.any([self._gross_region(self._contact(frame)) for frame in self._sampled_frames(frames)], axis=0)
 
-    def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
+    def _sampled_frames(self, frames: int = _LOOKS) -> Numbers:
         usable = np.flatnonzero(self.usable)
         return usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int))]
 
@@ -235,9 +234,7 @@ class ContactStage(Stage):
         faint = [*check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
         return faint or view_faults.check_sparse_ridges(sparse, contact.real_area_px[0] / contact.gross_area_px[0])
 
-    def _leave_out_parts(
-        self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]
-    ) -> None:
+    def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: NDArray[np.float64]) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
         if contact.real_contact_mask is None:
             return
@@ -265,11 +262,11 @@ class ContactStage(Stage):
             return np.zeros(self._view.shape, dtype=bool)
         return np.asarray(mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)[0, 0])
 
-    def _counts(self, frame: int | np.integer) -> NDArray[Any]:
+    def _counts(self, frame: int | np.integer) -> Array:
         """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""
         return self.inputs.counts(read_frames(self.inputs.recording[[int(frame)]]), self._view)
 
-    def _light_left(self, frame: int | np.integer) -> NDArray[Any]:
+    def _light_left(self, frame: int | np.integer) -> Array:
         """Return the light of samples (K,) of the lit pixels in a frame relative to that of the empty glass, both above
         the black level and under the same illumination.
         """

@@ -5,16 +5,13 @@ without the dark level, 0 where it is not lit; `share` is the share of that ligh
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Picture
 from fingerflow.tracker.faint_rim import RIM_MM
-
-Picture = NDArray[np.floating]
-Mask = NDArray[np.bool_]
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
@@ -81,7 +78,7 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
     `outside` is the real contact mask outside that region. Ridges are merged over `radius_px`; the largest part counts.
     """
     touching = outside.astype(np.uint8)
-    merged: NDArray[Any] = touching
+    merged: Array = touching
     for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
         merged = cv2.morphologyEx(merged, operation, _disc(radius_px))
     _, labels, parts, _ = cv2.connectedComponentsWithStats(merged, connectivity=8)
@@ -213,7 +210,7 @@ def check_empty_view(frame: Picture, light: Picture, number: int) -> Iterator[st
         )
 
 
-def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[Numbers, Numbers]:
     """Return the rows y and columns x of up to 1000 pixels near edges of brightness in the smoothed background, outside
     the contact region, among every second row and column.
     """
@@ -227,9 +224,7 @@ def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], N
     return 2 * y[::step] + _REACH_PX, 2 * x[::step] + _REACH_PX
 
 
-def _shift_of_glass(
-    seen: Picture, light: Picture, y: NDArray[np.intp], x: NDArray[np.intp]
-) -> tuple[tuple[int, int], float]:
+def _shift_of_glass(seen: Picture, light: Picture, y: Numbers, x: Numbers) -> tuple[tuple[int, int], float]:
     """Return the shift (x, y), px, of brightness edges in a frame relative to the background `light`, and the residual
     of the match with this shift divided by that without a shift.
 

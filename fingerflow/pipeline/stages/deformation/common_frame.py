@@ -1,18 +1,17 @@
 """Common reference configuration of the skin for points that were seeded in different frames."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.pipeline.stages.array_types import Numbers, Points
 from fingerflow.results.store import Values
 from fingerflow.tracker.vibration import FRAMES_READ
 
 _NEIGHBOURS = 8  # nearest points from whose displacement that of a new point is extrapolated
-Points = NDArray[np.float64]
 
 
-def common_frame(position: Values, status: Values, first: int, backward: bool) -> tuple[Points, NDArray[np.intp]]:
+def common_frame(position: Values, status: Values, first: int, backward: bool) -> tuple[Points, Numbers]:
     """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
     later, and the frames (N,) in which they were seeded, from `position` (F, N, 2) mm and track `status` (F, N).
 
@@ -45,7 +44,7 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     return positions, seeded
 
 
-def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
+def _seedings(status: Values, later: Numbers, backward: bool) -> Numbers:
     """Return the frame (L,) in which each of the L points with the indices `later` was seeded, from the track status
     (F, N) of all points.
 

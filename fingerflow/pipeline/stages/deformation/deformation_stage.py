@@ -12,6 +12,7 @@ from fingerflow.engines.engine import FrameEllipse
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
+from fingerflow.pipeline.stages.array_types import Numbers, Points
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -31,9 +32,6 @@ from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
 from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
-
-Points = NDArray[np.float64]
-Numbers = NDArray[np.intp]
 
 
 class DeformationStage(Stage):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.kernels.field_limits import LEAST_SHARE
+from fingerflow.pipeline.stages.array_types import Mask, Series
 
 _FEW_RIDGES_MM2 = 1.0
 # Largest share of impulses among pixels; with twice as many 0.3 % of the positions are off by four deviations.
@@ -36,7 +37,6 @@ _CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is 
 _ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
 _BRIGHTER_SHARE = 0.005
-Series = NDArray[np.float64]
 
 
 def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
@@ -315,7 +315,7 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
         )
 
 
-def check_energy(gross: Series, misfit: NDArray[np.bool_], gauge_mm: float, first_frame: int) -> Iterator[str]:
+def check_energy(gross: Series, misfit: Mask, gauge_mm: float, first_frame: int) -> Iterator[str]:
     """Yield a warning if no smooth field explains the displacements (`misfit`) in frames whose contact is two gauge
     lengths wide.
     """

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import comb
 
-Array = NDArray[np.float64]
+from fingerflow.pipeline.stages.array_types import Array, Numbers
 
 _DEGREE = 8  # degree of the polynomials P_k
 _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this power of its degree
@@ -173,7 +173,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tu
     sums[:, smooth:] += 1
     diagonal[:, functions:] += numbers[:, None]  # keeps the diagonal positive despite rounding
 
-    def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
+    def likelihood(scale: Numbers) -> tuple[Array, Array]:
         """Return twice the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices
         `scale` (n,), and the noise variance (n,) relative to the stated one.
         """
@@ -185,7 +185,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tu
         half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + smooth / 2 * np.log(_SCALES[scale])
         return -numbers * (np.log(noise) + rest / noise) - 4 * half, noise
 
-    def set_prior(scale: NDArray[np.intp]) -> None:
+    def set_prior(scale: Numbers) -> None:
         diagonal[:, :functions] = sums
         diagonal[:, :smooth] += 1 / _SCALES[scale, None]
 
