@@ -102,19 +102,15 @@ class BorderFunctions:
             [self._normal_equations(positions[part], moved[part], weight[part], free) for part in parts]
         )
         smooth, functions = len(self._mixed), normal.shape[1] - 2
-        if at_border is not None:
-            # In units of s, so that the prior of these coefficients is 1.
-            normal[:, smooth:functions] *= at_border[:, None, None]
-            normal[:, :, smooth:functions] *= at_border[:, None, None]
+        # Harmonic functions in units of s, so that the prior of their coefficients is 1.
+        at_border = np.ones(1) if at_border is None else at_border
+        units = np.where(np.arange(functions) < smooth, 1.0, at_border[:, None])[..., None]
+        normal[:, :functions] *= units
+        normal[:, :, :functions] *= units.mT
         noise, evidence = _find_scales(normal, 2 * (weight > 0).sum(1), smooth)
-        inverse = np.linalg.inv(normal[:, :functions, :functions])
-        if at_border is not None:
-            inverse[:, smooth:] *= at_border[:, None, None]
-            inverse[:, :, smooth:] *= at_border[:, None, None]
-            normal[:, smooth:functions, functions:] /= at_border[:, None, None]
-        return BorderFields(
-            inverse @ normal[:, :functions, functions:], noise[:, None, None] * inverse, noise, evidence
-        )
+        inverse = units * np.linalg.inv(normal[:, :functions, :functions]) * units.mT
+        coefficients = inverse @ (normal[:, :functions, functions:] / units)
+        return BorderFields(coefficients, noise[:, None, None] * inverse, noise, evidence)
 
     def _normal_equations(self, positions: Array, moved: Array, weight: Array, harmonic: bool) -> Array:
         """Return the normal equations (n, K + 2, K + 2) of the fits: weighted sums over the points of products of the K
