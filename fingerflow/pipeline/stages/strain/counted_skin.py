@@ -139,7 +139,7 @@ def _skins(status: Values, seeded: Numbers) -> list[tuple[Mask, int]]:
     A finger that touches again elsewhere, or with other skin, has left hardly a point tracked (`LEFT`). Points that are
     lost then would form triangles with the new ones, whose strain is unknown. Those still tracked belong to both.
     """
-    first, *later = np.unique(seeded).tolist()
+    first, *later = np.unique(seeded).tolist() or [0]
     result: list[tuple[Mask, int]] = []
     present = seeded == first
     for frame in later:

@@ -81,9 +81,9 @@ class NewSkin:
         rows, columns = np.indices(touching.shape)
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
         followed, window = np.flatnonzero(tracked), self._window * self._per_px
-        nearest = followed[self._nearest(position[followed], contact.shape)[1]]
+        nearest = followed[self._nearest(position[followed], contact.shape)]
         # Skin that touches, or soon will, farther than half a window from any point.
-        bare = self._nearest(position, contact.shape)[0] > window / 2
+        bare = np.hypot(*(at - position[self._nearest(position, contact.shape)]).T) > window / 2
         bare &= self._in(touching, at) | self._in(touching, at + _AHEAD * way[nearest])
         bare[bare] = self._is_new(at[bare], moved[nearest[bare]], seeding[nearest[bare]])
         if bare.sum() * (_STEP * self._cell) ** 2 < window**2:
@@ -96,12 +96,11 @@ class NewSkin:
         seeded[seeded] = self._is_new(at[seeded], moved[nearest[seeded]], seeding[nearest[seeded]])
         return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(pixels)
 
-    def _nearest(self, position: Points, shape: tuple[int, ...]) -> tuple[Array, Numbers]:
-        """Return the distance (K,) px of every second cell from the nearest point of `position` (N, 2) px, to half a
-        cell, and the index (K,) of that point; `shape` is that of all cells.
+    def _nearest(self, position: Points, shape: tuple[int, ...]) -> Numbers:
+        """Return for every second cell, in both directions, the index (K,) of the point of `position` (N, 2) px that is
+        nearest to half a cell; `shape` is that of all cells.
         """
-        distance, nearest = distances((position + 0.5) / self._cell - 0.5, shape)
-        return self._cell * distance[::_STEP, ::_STEP].ravel(), nearest[::_STEP, ::_STEP].ravel()
+        return distances((position + 0.5) / self._cell - 0.5, shape)[1][::_STEP, ::_STEP].ravel()
 
     def _around(self, touching: Mask) -> Mask:
         """Return the mask (h, w) of the topographic view around a contact that has just begun, as far as the first
