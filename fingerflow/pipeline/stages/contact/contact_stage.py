@@ -124,9 +124,8 @@ class ContactStage(Stage):
         if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + self.first_frame
             self.warnings.append(
-                f"brightness differs from the empty picture; areas in {int(self._blind.sum())} frames, the first is "
-                f"{first}, may be wrong: the finger covers the glass that would show by how much. Leave some glass "
-                f"free around the finger, or record the empty glass again"
+                f"areas in {int(self._blind.sum())} frames, the first is {first}, may be wrong: the finger covers the "
+                f"glass that would show how the light has changed. Leave some glass free, or record it again"
             )
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]

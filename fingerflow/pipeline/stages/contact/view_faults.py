@@ -60,9 +60,8 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterato
         frame = frames[0]
         yield (
             f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide "
-            f"in frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
-            f"background does not show. Remove it, leave it out by views.contact.region, or record the empty glass "
-            f"again"
+            f"in frame {frame + first_frame}, and counts as contact, such as a cable. Remove it, leave it out by "
+            f"views.contact.region, or record the empty glass again"
         )
 
 
@@ -89,9 +88,8 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
     if real >= DENSITY * area:
         yield (
             f"a second contact lies in the view, as of another finger or a knuckle: {real * pixel_mm2:.2g} mm² of "
-            f"real contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain "
-            f"energy are of the densest part alone (at ellipse_center) where the two are apart, of both where they "
-            f"merge. Leave the other out by views.contact.region, or press with one finger"
+            f"real contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Results are of the densest part alone, or "
+            f"of both where they merge. Leave the other out by views.contact.region, or press with one finger"
         )
 
 
@@ -106,8 +104,8 @@ def check_sweat(touching: Mask, period_px: float) -> Iterator[str]:
     share = float(solid.sum() / max(touching.sum(), 1))
     if _SOLID < share < _ALL_SOLID:
         yield (
-            f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease "
-            f"fills the valleys there and counts as contact. Dry finger and glass"
+            f"{share:.0%} of the real contact lies in patches wider than a ridge: sweat or grease fills the valleys "
+            f"there and counts as contact. Dry finger and glass"
         )
 
 
@@ -122,8 +120,8 @@ def check_shadow(share: Picture, away: Picture, period_px: float) -> Iterator[st
     left = float(np.median(around)) if len(around) else 1.0
     if left < 1 - _SHADOW:
         yield (
-            f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow or halo of the finger lies "
-            f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
+            f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow of the finger lies there and "
+            f"counts as contact where it is dark. Light the glass evenly, or refocus"
         )
 
 
@@ -165,8 +163,7 @@ def check_background_lines(light: Picture) -> Iterator[str]:
         row = int(np.argmax(torn)) + 1
         yield (
             f"lines of the background differ in light from the lines beside them, from row {row} of the contact view "
-            f"on: a picture of it is torn or has lines of zeros, and no contact is seen there. Record the empty glass "
-            f"again"
+            f"on: a picture is torn, and no contact is seen there. Record the empty glass again"
         )
 
 
@@ -186,8 +183,8 @@ def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, awa
         if np.hypot(*shift) >= _MOVED_PX and better < _BETTER:
             yield (
                 f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame "
-                f"{number} ({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and "
-                f"edges of the light count as contact. Record the empty glass again, or leave these frames out"
+                f"{number}: camera or glass was bumped, and edges of the light count as contact. Record the empty "
+                f"glass again, or leave these frames out"
             )
             return
 
