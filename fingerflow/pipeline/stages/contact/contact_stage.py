@@ -68,15 +68,13 @@ class ContactStage(Stage):
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
         self.faint_rim_mm = self._pale_rim_mm = 0.0
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
-        self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
     def begin(self) -> None:
         reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
         glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
-        self._black = np.float32(0) if black is None else black
-        self._glass, self._glass_light = glass - self._black, glass_light(glass, black)
+        light, level = glass_light(glass, black)
+        self._glass, self._black = light[0, 0], level[0, 0]
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
-        light, level = self._glass_light
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self.usable))
@@ -110,7 +108,6 @@ class ContactStage(Stage):
         self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
         self._cut[indices] = area_steps.cut_shares(contact.density_margin[:, 0], sizes.gross) * self.usable[indices]
         self._gain[indices] = contact.illumination_gain
-        self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
 
     def finish(self) -> None:
@@ -119,16 +116,14 @@ class ContactStage(Stage):
             self.series["real_contact_area"] -= self._outside
         for values in (*self.series.values(), self._gain):
             values[~self.usable] = np.nan
-        self._blind &= self.usable
-        gains = self._gain[np.isfinite(self._gain)]
-        if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
-            first = int(np.argmax(self._blind)) + self.first_frame
+        real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
+        blind, gains = np.flatnonzero(np.isnan(self._gain) & (real > 0)), self._gain[np.isfinite(self._gain)]
+        if len(blind) and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
             self.warnings.append(
-                f"areas in {int(self._blind.sum())} frames, the first is {first}, may be wrong: the finger covers the "
-                f"glass that would show how the light has changed. Leave some glass free, or record it again"
+                f"areas in {len(blind)} frames, the first is {blind[0] + self.first_frame}, may be wrong: the finger "
+                f"covers the glass that would show how the light has changed. Leave some glass free, or record it again"
             )
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
-        real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
         self.warnings += plausibility.check_areas(real, gross, radius, self.first_frame)
         self.warnings += area_steps.check_light_steps(gross, area, self.first_frame)
@@ -194,7 +189,7 @@ class ContactStage(Stage):
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
-        region, light = self._largest, self._glass_light[0][0, 0]
+        region, light = self._largest, self._glass
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
@@ -321,7 +316,7 @@ class ContactStage(Stage):
             path = self.inputs.recording.path
             if faults:
                 raise FingerflowError(f"{path}: no contact: {faults[-1]}")
-            shown = frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame
+            shown = frame[0] - self._black, self._glass, self.reference_frame
             seen = next(view_faults.check_empty_view(*shown), "nothing there differs from the background as it does")
             clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""
             raise FingerflowError(

@@ -74,7 +74,7 @@ class StrainStage(Stage):
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
-        self._since = moved.reference_of.attributes(self.first_frame)
+        self._since = moved.attributes
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
