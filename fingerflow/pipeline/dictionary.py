@@ -48,22 +48,12 @@ class DictionaryEntry(NamedTuple):
 
 def dictionary() -> tuple[DictionaryEntry, ...]:
     """Return the descriptions of all result variables, in the order of the stages that compute them."""
-    return tuple(
-        DictionaryEntry(
-            variable.name,
-            variable.units,
-            variable.shown_unit.name,
-            variable.dims,
-            stage,
-            variable.long_name,
-            variable.equation,
-            variable.unasked,
-            tuple(dict.fromkeys((*needs, *variable.needs))),
-            variable.flags,
-        )
-        for stage, variables, needs in (
-            *((stage.name, stage.gives, stage.needs) for stage in all_stages()),
-            ("stream", STREAM, ()),
-        )
-        for variable in variables
-    )
+    stages = [(stage.name, stage.gives, stage.needs) for stage in all_stages()]
+    entries = []
+    for stage, variables, keys in (*stages, ("stream", STREAM, ())):
+        for variable in variables:
+            shape = variable.name, variable.units, variable.shown_unit.name, variable.dims
+            needs = tuple(dict.fromkeys((*keys, *variable.needs)))
+            meaning = stage, variable.long_name, variable.equation, variable.unasked
+            entries.append(DictionaryEntry(*shape, *meaning, needs, variable.flags))
+    return tuple(entries)

@@ -168,10 +168,9 @@ def _reason_to_compute(
     ]
     if changed:
         return ", ".join(changed)
-    before = [variable.name for variable in (*stage.after, *stage.same_pass) if variable in computed]
-    if before:
-        return f"it depends on {', '.join(before)}"
-    return "it was computed by another version of the code, by another engine, from other frames, or with other outputs"
+    before = [earlier.name for earlier in (*stage.after, *stage.same_pass) if earlier in computed]
+    version = "it was computed by another version of the code, by another engine, or from other frames"
+    return f"it depends on {', '.join(before)}" if before else version
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:

@@ -13,6 +13,7 @@ from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -24,8 +25,6 @@ from fingerflow.schema.variables import CONTACT, sparse_border_mm
 from fingerflow.tracker import area_steps
 from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
-
-Mask = NDArray[np.bool_]
 
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
@@ -69,15 +68,13 @@ class ContactStage(Stage):
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
         self.faint_rim_mm = self._pale_rim_mm = 0.0
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
-        self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
     def begin(self) -> None:
         reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
         glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
-        self._black = np.float32(0) if black is None else black
-        self._glass, self._glass_light = glass - self._black, glass_light(glass, black)
+        light, level = glass_light(glass, black)
+        self._glass, self._black = light[0, 0], level[0, 0]
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
-        light, level = self._glass_light
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self.usable))
@@ -111,7 +108,6 @@ class ContactStage(Stage):
         self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
         self._cut[indices] = area_steps.cut_shares(contact.density_margin[:, 0], sizes.gross) * self.usable[indices]
         self._gain[indices] = contact.illumination_gain
-        self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
 
     def finish(self) -> None:
@@ -120,17 +116,14 @@ class ContactStage(Stage):
             self.series["real_contact_area"] -= self._outside
         for values in (*self.series.values(), self._gain):
             values[~self.usable] = np.nan
-        self._blind &= self.usable
-        gains = self._gain[np.isfinite(self._gain)]
-        if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
-            first = int(np.argmax(self._blind)) + self.first_frame
+        real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
+        blind, gains = np.flatnonzero(np.isnan(self._gain) & (real > 0)), self._gain[np.isfinite(self._gain)]
+        if len(blind) and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
             self.warnings.append(
-                f"brightness differs from the empty picture; areas in {int(self._blind.sum())} frames, the first is "
-                f"{first}, may be wrong: the finger covers the glass that would show by how much. Leave some glass "
-                f"free around the finger, or record the empty glass again"
+                f"areas in {len(blind)} frames, the first is {blind[0] + self.first_frame}, may be wrong: the finger "
+                f"covers the glass that would show how the light has changed. Leave some glass free, or record it again"
             )
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
-        real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
         self.warnings += plausibility.check_areas(real, gross, radius, self.first_frame)
         self.warnings += area_steps.check_light_steps(gross, area, self.first_frame)
@@ -188,7 +181,7 @@ class ContactStage(Stage):
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
         return np.any([self._gross_region(self._contact(frame)) for frame in self._sampled_frames(frames)], axis=0)
 
-    def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
+    def _sampled_frames(self, frames: int = _LOOKS) -> Numbers:
         usable = np.flatnonzero(self.usable)
         return usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int))]
 
@@ -196,7 +189,7 @@ class ContactStage(Stage):
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
-        region, light = self._largest, self._glass_light[0][0, 0]
+        region, light = self._largest, self._glass
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
@@ -235,9 +228,7 @@ class ContactStage(Stage):
         faint = [*check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
         return faint or view_faults.check_sparse_ridges(sparse, contact.real_area_px[0] / contact.gross_area_px[0])
 
-    def _leave_out_parts(
-        self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]
-    ) -> None:
+    def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: NDArray[np.float64]) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
         if contact.real_contact_mask is None:
             return
@@ -265,11 +256,11 @@ class ContactStage(Stage):
             return np.zeros(self._view.shape, dtype=bool)
         return np.asarray(mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)[0, 0])
 
-    def _counts(self, frame: int | np.integer) -> NDArray[Any]:
+    def _counts(self, frame: int | np.integer) -> Array:
         """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""
         return self.inputs.counts(read_frames(self.inputs.recording[[int(frame)]]), self._view)
 
-    def _light_left(self, frame: int | np.integer) -> NDArray[Any]:
+    def _light_left(self, frame: int | np.integer) -> Array:
         """Return the light of samples (K,) of the lit pixels in a frame relative to that of the empty glass, both above
         the black level and under the same illumination.
         """
@@ -325,7 +316,7 @@ class ContactStage(Stage):
             path = self.inputs.recording.path
             if faults:
                 raise FingerflowError(f"{path}: no contact: {faults[-1]}")
-            shown = frame[0] - self._black, self._glass_light[0][0, 0], self.reference_frame
+            shown = frame[0] - self._black, self._glass, self.reference_frame
             seen = next(view_faults.check_empty_view(*shown), "nothing there differs from the background as it does")
             clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""
             raise FingerflowError(

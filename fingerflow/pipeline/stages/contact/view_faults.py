@@ -5,16 +5,13 @@ without the dark level, 0 where it is not lit; `share` is the share of that ligh
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Picture
 from fingerflow.tracker.faint_rim import RIM_MM
-
-Picture = NDArray[np.floating]
-Mask = NDArray[np.bool_]
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
@@ -63,9 +60,8 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterato
         frame = frames[0]
         yield (
             f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide "
-            f"in frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
-            f"background does not show. Remove it, leave it out by views.contact.region, or record the empty glass "
-            f"again"
+            f"in frame {frame + first_frame}, and counts as contact, such as a cable. Remove it, leave it out by "
+            f"views.contact.region, or record the empty glass again"
         )
 
 
@@ -81,7 +77,7 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
     `outside` is the real contact mask outside that region. Ridges are merged over `radius_px`; the largest part counts.
     """
     touching = outside.astype(np.uint8)
-    merged: NDArray[Any] = touching
+    merged: Array = touching
     for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
         merged = cv2.morphologyEx(merged, operation, _disc(radius_px))
     _, labels, parts, _ = cv2.connectedComponentsWithStats(merged, connectivity=8)
@@ -92,9 +88,8 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
     if real >= DENSITY * area:
         yield (
             f"a second contact lies in the view, as of another finger or a knuckle: {real * pixel_mm2:.2g} mm² of "
-            f"real contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain "
-            f"energy are of the densest part alone (at ellipse_center) where the two are apart, of both where they "
-            f"merge. Leave the other out by views.contact.region, or press with one finger"
+            f"real contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Results are of the densest part alone, or "
+            f"of both where they merge. Leave the other out by views.contact.region, or press with one finger"
         )
 
 
@@ -109,8 +104,8 @@ def check_sweat(touching: Mask, period_px: float) -> Iterator[str]:
     share = float(solid.sum() / max(touching.sum(), 1))
     if _SOLID < share < _ALL_SOLID:
         yield (
-            f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease "
-            f"fills the valleys there and counts as contact. Dry finger and glass"
+            f"{share:.0%} of the real contact lies in patches wider than a ridge: sweat or grease fills the valleys "
+            f"there and counts as contact. Dry finger and glass"
         )
 
 
@@ -125,8 +120,8 @@ def check_shadow(share: Picture, away: Picture, period_px: float) -> Iterator[st
     left = float(np.median(around)) if len(around) else 1.0
     if left < 1 - _SHADOW:
         yield (
-            f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow or halo of the finger lies "
-            f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
+            f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow of the finger lies there and "
+            f"counts as contact where it is dark. Light the glass evenly, or refocus"
         )
 
 
@@ -168,8 +163,7 @@ def check_background_lines(light: Picture) -> Iterator[str]:
         row = int(np.argmax(torn)) + 1
         yield (
             f"lines of the background differ in light from the lines beside them, from row {row} of the contact view "
-            f"on: a picture of it is torn or has lines of zeros, and no contact is seen there. Record the empty glass "
-            f"again"
+            f"on: a picture is torn, and no contact is seen there. Record the empty glass again"
         )
 
 
@@ -189,8 +183,8 @@ def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, awa
         if np.hypot(*shift) >= _MOVED_PX and better < _BETTER:
             yield (
                 f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame "
-                f"{number} ({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and "
-                f"edges of the light count as contact. Record the empty glass again, or leave these frames out"
+                f"{number}: camera or glass was bumped, and edges of the light count as contact. Record the empty "
+                f"glass again, or leave these frames out"
             )
             return
 
@@ -213,7 +207,7 @@ def check_empty_view(frame: Picture, light: Picture, number: int) -> Iterator[st
         )
 
 
-def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[Numbers, Numbers]:
     """Return the rows y and columns x of up to 1000 pixels near edges of brightness in the smoothed background, outside
     the contact region, among every second row and column.
     """
@@ -227,9 +221,7 @@ def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], N
     return 2 * y[::step] + _REACH_PX, 2 * x[::step] + _REACH_PX
 
 
-def _shift_of_glass(
-    seen: Picture, light: Picture, y: NDArray[np.intp], x: NDArray[np.intp]
-) -> tuple[tuple[int, int], float]:
+def _shift_of_glass(seen: Picture, light: Picture, y: Numbers, x: Numbers) -> tuple[tuple[int, int], float]:
     """Return the shift (x, y), px, of brightness edges in a frame relative to the background `light`, and the residual
     of the match with this shift divided by that without a shift.
 

@@ -12,6 +12,7 @@ from fingerflow.engines.engine import FrameEllipse
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
+from fingerflow.pipeline.stages.array_types import Numbers, Points
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -32,9 +33,6 @@ from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
 from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
 
-Points = NDArray[np.float64]
-Numbers = NDArray[np.intp]
-
 
 class DeformationStage(Stage):
     """Stage that measures the displacement of each point from a reference position, and the displacement gradient at
@@ -50,7 +48,7 @@ class DeformationStage(Stage):
     different frames, and as large a change comes from using as many points more or fewer.
 
     Attributes:
-        reference_of: the reference of displacement.
+        attributes: of variables that count from the reference of displacement.
         border: of the contact in all frames, mm, without the vibration of the image.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
@@ -92,10 +90,8 @@ class DeformationStage(Stage):
     def begin(self) -> None:
         inputs = self.inputs
         status = self.results["frame_status"][:]
-        self.reference_of = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
-        self._attributes = self.reference_of.attributes(self.first_frame)
-        then = self.reference_of.frame
-        self.by_onsets = then is None
+        then, self.attributes = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
+        self.by_onsets, self.reference_frame = then is None, then
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
@@ -152,15 +148,15 @@ class DeformationStage(Stage):
         self.results.put("onset_frame_std", np.sqrt(variance))
         entry = np.where(moves_in, ENTRY.index("entered"), np.isfinite(self.reference).all(1))
         self.results.put("entry", np.where(self._inside, ENTRY.index("seeded_inside"), entry).astype(np.uint8))
-        self.results.put("reference_position", self.reference, self._attributes)
+        self.results.put("reference_position", self.reference, self.attributes)
         for name in ("displacement", "displacement_std"):
-            self.results.create(name, self._attributes)
+            self.results.create(name, self.attributes)
         self._touch = Touches(points)
         self._begin_fields()
 
     def _begin_fields(self) -> None:
         """Create the result variables of the fields, and prepare their computation."""
-        self._gauge |= self._attributes
+        self._gauge |= self.attributes
         self._stated = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.requested)]
         for name in self._stated:
             self.results.create(name, self._gauge)
@@ -232,7 +228,7 @@ class DeformationStage(Stage):
         length, length_std = displacement_length(vector, vector_std)
         self.series |= {"global_displacement": length, "global_displacement_std": length_std}
         for name in ("global_displacement_vector", "global_displacement", "printed_global_displacement"):
-            self.about[name] = self._attributes
+            self.about[name] = self.attributes
         # While a contact is too small for twice the gauge length, that of the first frame in which it is large enough.
         first = np.take_along_axis(self._bias, np.isfinite(self._bias).argmax(0)[None], axis=0)
         median_std = np.sqrt(self._variance + np.where(np.isnan(self._bias), first, self._bias))
@@ -287,7 +283,7 @@ class DeformationStage(Stage):
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
         if not self.by_onsets:
             self.onset = np.where(stays, touch.start, -1).astype(np.int32)
-            self.begins = np.full_like(self.onset, self.reference_of.frame)
+            self.begins = np.full_like(self.onset, self.reference_frame)
             self.reference = np.where(touched[:, None], self._fixed, np.nan)
 
     def _warn_of_unknown(self) -> None:
@@ -296,7 +292,7 @@ class DeformationStage(Stage):
         if unknown.any():
             self.warnings.append(
                 f"{int(unknown.sum())} of the {int(touching.sum())} points that come into contact are not known in "
-                f"fields.reference, frame {self._attributes['reference_frame']}: their displacement and what follows "
+                f"fields.reference, frame {self.attributes['reference_frame']}: their displacement and what follows "
                 f"from it is NaN (field_coverage says in how much of the contact something is known)"
             )
 
@@ -320,7 +316,7 @@ class DeformationStage(Stage):
         if not self.by_onsets:
             reference = np.where(touching.touching[..., None], self._fixed, np.nan)
             exact = np.broadcast_to(self._fixed_noise, variance.shape)
-            begins = np.broadcast_to((indices == self.reference_of.frame)[:, None], variance.shape)
+            begins = np.broadcast_to((indices == self.reference_frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)
         noise = noise_variance(variance, touching, adds_up=self._template == "previous")

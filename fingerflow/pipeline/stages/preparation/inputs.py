@@ -13,6 +13,7 @@ from fingerflow.engines.choice import ENGINES, engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.array_types import Array
 from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.lens import Geometry
@@ -20,8 +21,6 @@ from fingerflow.schema.keys import keys_of
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
-
-Array = NDArray[Any]
 
 # Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
 _REFERENCE_FRAMES = 64

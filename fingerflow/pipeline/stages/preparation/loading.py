@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.array_types import Series
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings import Forces, open_forces
@@ -20,7 +20,6 @@ _LEAST_TANGENTIAL = 0.05  # N, tangential force below which its direction is und
 _TANGENTIAL = ("tangential_force", "tangential_force_across")
 # Units in the scene, and the names by which `open_forces` knows them.
 _UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}
-Series = NDArray[np.float64]
 
 
 class LoadingStage(Stage):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.kernels.field_limits import LEAST_SHARE
+from fingerflow.pipeline.stages.array_types import Mask, Series
 
 _FEW_RIDGES_MM2 = 1.0
 # Largest share of impulses among pixels; with twice as many 0.3 % of the positions are off by four deviations.
@@ -36,7 +37,6 @@ _CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is 
 _ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
 _BRIGHTER_SHARE = 0.005
-Series = NDArray[np.float64]
 
 
 def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
@@ -45,8 +45,7 @@ def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
     if np.isfinite(period) and not least <= period <= most:
         yield (
             f"calibration.mm_per_px = {mm_per_px:g} puts the ridges {period:.2g} mm apart, and those of fingers are "
-            f"{least:g} to {most:g} mm apart: the scale is wrong by a factor, as if a diameter were taken for a "
-            f"radius. Lengths, areas and pressures are wrong with it; calibrate again"
+            f"{least:g} to {most:g} mm apart: the scale is wrong, and lengths and areas with it; calibrate again"
         )
 
 
@@ -57,14 +56,12 @@ def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[
     if mirroring:
         yield (
             f"the topography view is mirrored: it shows the ridges of the contact view only if turned over "
-            f"{mirroring}, and calibration.topography_to_contact does not. Onsets are those of skin elsewhere, "
-            f"displacement has the wrong sign, and so has curl unless both axes are turned; calibrate the views again"
+            f"{mirroring}. Onsets are those of skin elsewhere, and displacements and curl wrong; calibrate again"
         )
     elif offset_px:
         yield (
-            f"calibration.topography_to_contact puts the ridges of the topography view {offset_px:.2g} px "
-            f"({offset_px * mm_per_px:.2g} mm) beside those of the contact view: it is inverted, that of another "
-            f"setup, or left out. Onsets and fields are those of skin elsewhere; calibrate the views again"
+            f"calibration.topography_to_contact puts the ridges of the topography view {offset_px * mm_per_px:.2g} mm "
+            f"beside those of the contact view. Onsets and fields are those of skin elsewhere; calibrate again"
         )
 
 
@@ -103,9 +100,8 @@ def check_background(brighter: float, darker: float, frame: int) -> Iterator[str
         if share > least:
             yield (
                 f"background.frames is {change} than frame {frame} in {share:.1%} of the contact view: it was recorded "
-                f"at another exposure, gain or light, with a finger or dirt on the glass, or the recording begins in "
-                f"full contact. Contact and areas are wrong; record the empty glass again with the camera settings of "
-                f"the recording, and check [views.contact]"
+                f"at another exposure, gain or light, or with a finger on the glass. Areas are wrong; record the empty "
+                f"glass again with the camera settings of the recording, and check [views.contact]"
             )
 
 
@@ -141,9 +137,8 @@ def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
     pressure = 1000 * force / area
     if not least <= pressure <= most:
         yield (
-            f"the largest normal force, {force:,.3g} N on {area:.3g} mm², is a mean pressure of {pressure:,.3g} kPa, "
-            f"and that of fingertips is {least:g} to {most:g} kPa: check [forces] units (mN, g) and gain, and "
-            f"calibration.mm_per_px"
+            f"the largest normal force, {force:,.3g} N on {area:.3g} mm², is a mean pressure of {pressure:,.3g} kPa; "
+            f"fingertips have {least:g} to {most:g}: check [forces] units and gain, and calibration.mm_per_px"
         )
 
 
@@ -208,8 +203,7 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     if first > _STARTS * largest and largest > _GROWS * first:
         yield (
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
-            f"{measured[0] + first_frame}. Skin there has no onset, and its displacement and strain lack what came "
-            f"before: lower recording.first_frame, record earlier, or give fields.reference"
+            f"{measured[0] + first_frame}, so that displacement lacks what came before: lower recording.first_frame"
         )
 
 
@@ -220,11 +214,9 @@ def check_areas(real: Series, gross: Series, radius_px: int, first_frame: int) -
     """
     more = np.flatnonzero((real > gross) & (gross > _FEW_RIDGES_MM2))
     if len(more):
-        frame = more[0]
         yield (
-            f"in {len(more)} frames, the first is {frame + first_frame}, the real contact area is larger than the "
-            f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm²), of which it is a part: contact.gross_radius_px "
-            f"= {radius_px} is less than half the distance between ridges"
+            f"in {len(more)} frames, the first is {more[0] + first_frame}, the real contact area exceeds the gross one "
+            f"({real[more[0]]:.3g} and {gross[more[0]]:.3g} mm²): raise contact.gross_radius_px = {radius_px}"
         )
 
 
@@ -234,17 +226,11 @@ def check_points(seeded: int, requested: int, min_distance_px: float, region_px:
         return
     # Upper bound of the number of points: one for each square of side `min_distance_px`.
     room = round(region_px / min_distance_px**2)
-    if room < requested:
-        why = (
-            f"the region of {region_px} px has room for some {room} that lie {min_distance_px:g} px apart. Lower "
-            f"tracking.min_distance_px, ask for fewer in tracking.points, or make the region larger"
-        )
-    else:
-        why = (
-            f"the region of {region_px} px has room for {room}, but no more corners stand out of the noise. Check "
-            f"focus and light, or ask for fewer in tracking.points"
-        )
-    yield f"{seeded} of {requested} points were found: {why}"
+    yield (
+        f"{seeded} of {requested} points were found: the region of {region_px} px has room for {room} that lie "
+        f"{min_distance_px:g} px apart, as far as corners stand out of the noise. Check focus and light, make the "
+        f"region larger, or lower tracking.min_distance_px or tracking.points"
+    )
 
 
 def check_seeded_region(outside: float) -> Iterator[str]:
@@ -252,8 +238,7 @@ def check_seeded_region(outside: float) -> Iterator[str]:
     if outside > _UNSEEDED:
         yield (
             f"{outside:.0%} of the contact lies outside the region in which points are seeded: medians and energy are "
-            f"of the rest, or of skin seeded later. Make [stream] region or views.topography.region as large as the "
-            f"contact"
+            f"of the rest. Make [stream] region or views.topography.region as large as the contact"
         )
 
 
@@ -271,15 +256,14 @@ def check_tracking(tracked: Series, differs: Series, held: Series, first_frame: 
         )
     if len(differ):
         yield (
-            f"points were followed to where their window differs from that in which they were seeded, in {len(differ)} "
-            f"frames, the first is {differ[0] + first_frame}, up to {np.max(differs[differ]):.1%} of them: their "
-            f"positions are NaN there (status window_differs)"
+            f"up to {np.max(differs[differ]):.1%} of the points came to windows that differ from those seeded, in "
+            f"{len(differ)} frames, the first is {differ[0] + first_frame}: they are NaN there (status window_differs)"
         )
     if len(dust):
         yield (
-            f"something rests on the glass while the skin moves, as dust does, or the motion jumps inside windows: up "
-            f"to {np.max(held[dust]):.1%} of the points were held back, in {len(dust)} frames, the first is "
-            f"{dust[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
+            f"something rests on the glass while the skin moves, as dust does: up to {np.max(held[dust]):.1%} of the "
+            f"points were held back, in {len(dust)} frames, the first is {dust[0] + first_frame}, and are NaN there "
+            f"(status dust_in_window). Clean the glass"
         )
 
 
@@ -290,8 +274,7 @@ def check_impulses(share: float) -> Iterator[str]:
     if share > _IMPULSES:
         yield (
             f"{share:.2%} of the pixels of the topography view differ from all pixels around (salt and pepper): points "
-            f"are lost, and positions of others may be off by more than stated. Is the sensor defective, or the file "
-            f"damaged?"
+            f"are lost, or off by more than stated. Is the sensor defective, or the file damaged?"
         )
 
 
@@ -304,18 +287,16 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
     """
     unknown = np.flatnonzero(np.isnan(median) & (gross > np.pi * gauge_mm**2))
     if len(unknown):
-        frame = unknown[0]
-        share = float(np.nan_to_num(coverage[frame]))
+        share = float(np.nan_to_num(coverage[unknown[0]]))
         yield (
             f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
-            f"{frame + first_frame}, and in part the strain energy: fields are known in {share:.0%} of the contact "
-            f"there, {LEAST_SHARE:.0%} are needed (field_coverage). Points are lost (status says why), or none were "
-            f"seeded there: see [views.topography] and its region, [stream] region, tracking.points and "
-            f"fields.gauge_length_mm"
+            f"{unknown[0] + first_frame}, and in part the strain energy: fields are known in {share:.0%} of the "
+            f"contact, not in {LEAST_SHARE:.0%} (field_coverage). Points are lost (status), or none were seeded there: "
+            f"see [views.topography] and its region, [stream] region, and tracking.points"
         )
 
 
-def check_energy(gross: Series, misfit: NDArray[np.bool_], gauge_mm: float, first_frame: int) -> Iterator[str]:
+def check_energy(gross: Series, misfit: Mask, gauge_mm: float, first_frame: int) -> Iterator[str]:
     """Yield a warning if no smooth field explains the displacements (`misfit`) in frames whose contact is two gauge
     lengths wide.
     """
@@ -323,8 +304,7 @@ def check_energy(gross: Series, misfit: NDArray[np.bool_], gauge_mm: float, firs
     if len(misfits):
         yield (
             f"no smooth field explains the displacements well in {len(misfits)} frames with contact, the first is "
-            f"{misfits[0] + first_frame}: skin slips, or points err by more than is stated. There the strain energy is "
-            f"in part or as a whole the sum over the triangles between points, which lacks some of it"
+            f"{misfits[0] + first_frame}: skin slips, or points err more than is stated. The strain energy lacks a part"
         )
 
 
@@ -344,6 +324,5 @@ def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float
     elif gauge_mm > _MOST_GAUGE * contact_mm:
         yield (
             f"fields.gauge_length_mm = {gauge_mm:g} is over a third of the width of the contact ({contact_mm:.2g} mm): "
-            f"divergence, curl and strain are smoothed by more than their deviations state. Take "
-            f"{_MOST_GAUGE * contact_mm:.2g} mm or less"
+            f"fields are smoothed by more than is stated. Take {_MOST_GAUGE * contact_mm:.2g} mm or less"
         )

@@ -1,40 +1,18 @@
 """Reference frame of displacement: the setting `fields.reference` of a scene, resolved to a frame number."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import parse_seconds
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.variables import FRAME_STATUS
+from fingerflow.schema.variables import FRAME_STATUS, USABLE
 
 _ONSET = (
     "each point's own onset, the frame in which the contact comes to cover it. Gradients are of that displacement, by "
     "the places of onset (Willemet et al. 2021): where skin moves while the contact grows over it, neighbours count "
     "from other moments, and they differ from the strain of the skin"
 )
-
-
-class Reference(NamedTuple):
-    """Reference frame, or onset of contact, from which displacement is counted.
-
-    Attributes:
-        frame: counted from 0 at the first selected frame; None for each point's own onset.
-        definition: in words, for attributes and reports.
-    """
-
-    frame: int | None
-    definition: str
-
-    def attributes(self, first_frame: int) -> dict[str, str | int]:
-        """Return the attributes of a result variable that state its displacement reference.
-
-        `reference_frame` is the frame number in the file; it is left out for onsets.
-        """
-        frame = {} if self.frame is None else {"reference_frame": self.frame + first_frame}
-        return {"reference": self.definition, **frame}
 
 
 def requested_frame(scene: Scene, times: NDArray[np.float64]) -> int | None:
@@ -64,16 +42,18 @@ def requested_frame(scene: Scene, times: NDArray[np.float64]) -> int | None:
 
 def resolve_reference(
     scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
-) -> Reference:
-    """Return the reference frame of displacement for a scene, given times (s) and status of all frames.
+) -> tuple[int | None, dict[str, str | int]]:
+    """Return the frame from which displacement counts, from 0 at the first selected frame, or None for each point's own
+    onset; and the attributes that say so of a result variable, with the number of the frame in the file.
 
-    Raises FingerflowError for a frame outside the selection or an unusable one.
+    `times` (s) and `status` are those of all frames. Raises FingerflowError for a frame outside the selection or an
+    unusable one.
     """
     setting, first = scene.fields.reference, scene.recording.first_frame
     if setting in ("onset", "dilated_onset"):
         rim = f"; the contact has a rim of {scene.contact.gross_radius_px} px here" if setting != "onset" else ""
-        return Reference(None, _ONSET + rim)
-    usable = np.flatnonzero(status == FRAME_STATUS.index("usable"))
+        return None, {"reference": _ONSET + rim}
+    usable = np.flatnonzero(status == USABLE)
     frame = requested_frame(scene, times)
     if frame is None:
         frame = int(usable[0])
@@ -88,8 +68,5 @@ def resolve_reference(
             f"{scene.path}: fields.reference is {setting!r}, which is frame {frame + first}: it is "
             f"{FRAME_STATUS[status[frame]]}, so no point is known there; take frame {near}"
         )
-    return Reference(
-        frame,
-        f"frame {frame + first}, {times[frame]:.4g} s from the trigger, for all points that are known there; values "
-        f"are of skin in contact",
-    )
+    definition = f"frame {frame + first}, {times[frame]:.4g} s from the trigger, for all points that are known there"
+    return frame, {"reference": f"{definition}; values are of skin in contact", "reference_frame": frame + first}

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
+from fingerflow.pipeline.stages.array_types import Mask, Picture
 
 _SIDE_PX = 256  # longest side of the analysed patch of skin: a ridge then has some 10 px
 _MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are due to light and pressure
@@ -17,7 +17,6 @@ _REACH_PX = 40  # largest offset between the views that is searched
 # Least correlation of the ridges in two views that show the same skin; by chance it stays below 0.15.
 _LEAST_CORRELATION = 0.3
 _WEAKER = 0.75  # ratio of the correlation without an offset to the best one, below which the views are offset
-Picture = NDArray[np.float32]
 
 
 class SkinPatch(NamedTuple):

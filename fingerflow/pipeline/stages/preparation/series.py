@@ -1,12 +1,11 @@
 """Time derivatives of series."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Values = NDArray[np.float64]
+from fingerflow.pipeline.stages.array_types import Series
 
 
-def rate(values: Values, times: Values, window_s: float, of_std: bool = False) -> Values:
+def rate(values: Series, times: Series, window_s: float, of_std: bool = False) -> Series:
     """Return the time derivative (F, ...) per second of values (F, ...), by local parabolas (Savitzky & Golay, 1964);
     with `of_std`, its standard deviation, where `values` are standard deviations of independent errors.
 
@@ -28,14 +27,14 @@ def rate(values: Values, times: Values, window_s: float, of_std: bool = False) -
     return result.reshape(values.shape)
 
 
-def _slope_weights(half: int) -> Values:
+def _slope_weights(half: int) -> Series:
     """Return the weights (L, L) of L = 2 half + 1 samples in the slope per sample of their parabola at each of them."""
     at = np.arange(-half, half + 1.0)
     bend = at**2 - (at**2).mean()  # orthogonal to the line and to the constant
     return at / (at**2).sum() + 2 * np.outer(at, bend) / (bend**2).sum()
 
 
-def _filtered(values: Values, weights: Values) -> Values:
+def _filtered(values: Series, weights: Series) -> Series:
     """Return the sums (n,) of n values over a moving window of L samples, each with a row of the weights (L, L): the
     middle row for whole windows, the others for the values near both ends.
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import comb
 
-Array = NDArray[np.float64]
+from fingerflow.pipeline.stages.array_types import Array, Numbers
 
 _DEGREE = 8  # degree of the polynomials P_k
 _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this power of its degree
@@ -102,19 +102,15 @@ class BorderFunctions:
             [self._normal_equations(positions[part], moved[part], weight[part], free) for part in parts]
         )
         smooth, functions = len(self._mixed), normal.shape[1] - 2
-        if at_border is not None:
-            # In units of s, so that the prior of these coefficients is 1.
-            normal[:, smooth:functions] *= at_border[:, None, None]
-            normal[:, :, smooth:functions] *= at_border[:, None, None]
+        # Harmonic functions in units of s, so that the prior of their coefficients is 1.
+        at_border = np.ones(1) if at_border is None else at_border
+        units = np.where(np.arange(functions) < smooth, 1.0, at_border[:, None])[..., None]
+        normal[:, :functions] *= units
+        normal[:, :, :functions] *= units.mT
         noise, evidence = _find_scales(normal, 2 * (weight > 0).sum(1), smooth)
-        inverse = np.linalg.inv(normal[:, :functions, :functions])
-        if at_border is not None:
-            inverse[:, smooth:] *= at_border[:, None, None]
-            inverse[:, :, smooth:] *= at_border[:, None, None]
-            normal[:, smooth:functions, functions:] /= at_border[:, None, None]
-        return BorderFields(
-            inverse @ normal[:, :functions, functions:], noise[:, None, None] * inverse, noise, evidence
-        )
+        inverse = units * np.linalg.inv(normal[:, :functions, :functions]) * units.mT
+        coefficients = inverse @ (normal[:, :functions, functions:] / units)
+        return BorderFields(coefficients, noise[:, None, None] * inverse, noise, evidence)
 
     def _normal_equations(self, positions: Array, moved: Array, weight: Array, harmonic: bool) -> Array:
         """Return the normal equations (n, K + 2, K + 2) of the fits: weighted sums over the points of products of the K
@@ -173,7 +169,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tu
     sums[:, smooth:] += 1
     diagonal[:, functions:] += numbers[:, None]  # keeps the diagonal positive despite rounding
 
-    def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
+    def likelihood(scale: Numbers) -> tuple[Array, Array]:
         """Return twice the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices
         `scale` (n,), and the noise variance (n,) relative to the stated one.
         """
@@ -185,7 +181,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tu
         half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + smooth / 2 * np.log(_SCALES[scale])
         return -numbers * (np.log(noise) + rest / noise) - 4 * half, noise
 
-    def set_prior(scale: NDArray[np.intp]) -> None:
+    def set_prior(scale: Numbers) -> None:
         diagonal[:, :functions] = sums
         diagonal[:, :smooth] += 1 / _SCALES[scale, None]
 

@@ -14,18 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import ellipe
 
 from fingerflow.kernels.arrays import is_finite
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
 
-Mask = NDArray[np.bool_]
-
-Array = NDArray[np.floating]
-Motion = Callable[[NDArray[np.intp]], Array]  # of points, in frames with these numbers
+Motion = Callable[[Numbers], Array]  # of points, in frames with these numbers
 
 # Half of the standard deviation of the mean radius of a border from `steady_border`, measured on presses: where a
 # border is too far out, onsets are as early, so that displacements vanish there, too.
@@ -227,7 +224,7 @@ class _Points(NamedTuple):
         weight = np.where(counts, 1 / np.where(counts, variance, 1), 0.0)
         return cls(turn @ from_centre, moved, weight, border.semi_axes, turn)
 
-    def select(self, frames: NDArray[np.intp] | slice) -> "_Points":
+    def select(self, frames: Numbers | slice) -> "_Points":
         return _Points(*(values[frames] for values in self))
 
     def on_disc(self) -> tuple[Array, Array, Array]:

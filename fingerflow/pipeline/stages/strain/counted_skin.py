@@ -5,16 +5,13 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.pipeline.stages.array_types import Mask, Numbers, Points
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, select_frames
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Store, Values
 from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.entry import LEAST_AREA
-
-Mask = NDArray[np.bool_]
-
-Points = NDArray[np.float64]
 
 # Deviation of a place of onset, relative to the root of twice a triangle's area, from which it distorts the triangle.
 _ERROR = 0.05
@@ -113,9 +110,7 @@ class CountedSkin:
         result[touched[regular]] |= (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
-    def moved(
-        self, moved: Displacement, frames: NDArray[np.intp]
-    ) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
+    def moved(self, moved: Displacement, frames: Numbers) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
         """Return displacements (n, P, 2) mm, and variances (n, P) mm^2 by image noise and by curvature, in n frames of
         the tracked points, followed by copies of points that are corners of triangles with another reference frame.
         """
@@ -137,14 +132,14 @@ class CountedSkin:
         )
 
 
-def _skins(status: Values, seeded: NDArray[np.intp]) -> list[tuple[Mask, int]]:
+def _skins(status: Values, seeded: Numbers) -> list[tuple[Mask, int]]:
     """Return the masks (N,) of the points of each skin that was tracked forward by itself, and the frame from which the
     next takes its place, from the track `status` (F, N) and the frames (N,) in which points were `seeded`.
 
     A finger that touches again elsewhere, or with other skin, has left hardly a point tracked (`LEFT`). Points that are
     lost then would form triangles with the new ones, whose strain is unknown. Those still tracked belong to both.
     """
-    first, *later = np.unique(seeded).tolist()
+    first, *later = np.unique(seeded).tolist() or [0]
     result: list[tuple[Mask, int]] = []
     present = seeded == first
     for frame in later:

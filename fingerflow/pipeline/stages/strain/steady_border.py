@@ -7,11 +7,9 @@ off.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.kernels.result_records import FrameEllipse
-
-Series = NDArray[np.float64]
+from fingerflow.pipeline.stages.array_types import Series
 
 # mm, unit of the distance between borders: a border at a ridge period of 0.45 mm has a third of the weight.
 _NEAR_MM = 0.3

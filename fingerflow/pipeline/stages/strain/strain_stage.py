@@ -1,16 +1,14 @@
 """Strain of the triangles between tracked points, and strain energy of the skin in contact."""
 
-from typing import Any
-
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import principal_strains, strain_energy_density_std
 from fingerflow.ops.fields.triangle_strain import TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Series
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -25,10 +23,6 @@ from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
-
-Array = NDArray[np.floating]
-Series = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
 # RMS over four presses of synthetic skin at half to twice the usual deformation.
@@ -80,7 +74,7 @@ class StrainStage(Stage):
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
-        self._since = moved.reference_of.attributes(self.first_frame)
+        self._since = moved.attributes
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
@@ -151,7 +145,7 @@ class StrainStage(Stage):
         young, poisson = self._elastic
         return triangle_strain(*given, measure=self._settings.strain, young_modulus_mpa=young, poisson_ratio=poisson)
 
-    def _lost_by_smoothing(self, moved: Array, energy: torch.Tensor, touching: Mask) -> NDArray[Any]:
+    def _lost_by_smoothing(self, moved: Array, energy: torch.Tensor, touching: Mask) -> Array:
         """Return by how much smoothing has lowered the strain energies `energy` (n,) of n frames, free of that of image
         noise, if it took as large a share as smoothing the displacements `moved` (n, P, 2) mm over `_SMOOTHED` windows
         takes of what is left, two thirds at most.
@@ -196,7 +190,7 @@ class StrainStage(Stage):
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
 
-        def since_growth(rows: NDArray[np.intp]) -> Series:
+        def since_growth(rows: Numbers) -> Series:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
             then = np.concatenate([steady(run) for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
             return position[rows] - then[number]
@@ -214,7 +208,7 @@ class StrainStage(Stage):
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
         self._between_std[frames[fitted]] = np.hypot(deviation[fitted], np.where(lacking < 0, 1.0, _INSIDE) * lacking)
 
-    def _onset_field(self, moved: Displacement, frames: NDArray[np.intp]) -> tuple[Series, Array, Mask]:
+    def _onset_field(self, moved: Displacement, frames: Numbers) -> tuple[Series, Array, Mask]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
         arguments for `ContactEnergy.estimate`.
 
@@ -236,7 +230,7 @@ class StrainStage(Stage):
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
         return np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
 
-    def _sum_corners(self, values: NDArray[Any]) -> NDArray[Any]:
+    def _sum_corners(self, values: Array) -> Array:
         """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
 
         Corners are added one by one, as sums over an axis of three take longer.
@@ -298,7 +292,7 @@ def border_density(density: Array, areas: Array, positions: Array, border: Frame
         return total / weight
 
 
-def _growth(radius: Series) -> NDArray[np.intp]:
+def _growth(radius: Series) -> Numbers:
     """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
     within `GROWTH_MM` of its value there, or larger.
     """

@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Values = NDArray[np.floating]
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Points
 
 _STEP = 2  # cells between sampled positions
 _AHEAD = 2.0  # prediction time in intervals between calls: until the next call but one
 LEFT = 0.1  # share of tracked points below which their skin counts as gone
 _STRIDE = 0.25  # windows, distance between samples upstream of the contact
-Points = Values
-Mask = NDArray[np.bool_]
 
 
 class NewSkin:
@@ -37,7 +35,7 @@ class NewSkin:
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
         self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 
-    def begin(self, contact: Values, positions: Points) -> None:
+    def begin(self, contact: Array, positions: Points) -> None:
         """Store the `positions` (N, 2), px of the topographic view, at which the first points were seeded, as
         those before the first call of `region`.
 
@@ -48,7 +46,7 @@ class NewSkin:
             self._before = self._on_contact(positions), self._middle(touching)
 
     def region(
-        self, contact: Values, pixels: Points, moved: Points, tracked: Mask, seeding: NDArray[np.integer]
+        self, contact: Array, pixels: Points, moved: Points, tracked: Mask, seeding: NDArray[np.integer]
     ) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
@@ -83,9 +81,9 @@ class NewSkin:
         rows, columns = np.indices(touching.shape)
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
         followed, window = np.flatnonzero(tracked), self._window * self._per_px
-        nearest = followed[self._nearest(position[followed], contact.shape)[1]]
+        nearest = followed[self._nearest(position[followed], contact.shape)]
         # Skin that touches, or soon will, farther than half a window from any point.
-        bare = self._nearest(position, contact.shape)[0] > window / 2
+        bare = np.hypot(*(at - position[self._nearest(position, contact.shape)]).T) > window / 2
         bare &= self._in(touching, at) | self._in(touching, at + _AHEAD * way[nearest])
         bare[bare] = self._is_new(at[bare], moved[nearest[bare]], seeding[nearest[bare]])
         if bare.sum() * (_STEP * self._cell) ** 2 < window**2:
@@ -98,12 +96,11 @@ class NewSkin:
         seeded[seeded] = self._is_new(at[seeded], moved[nearest[seeded]], seeding[nearest[seeded]])
         return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(pixels)
 
-    def _nearest(self, position: Points, shape: tuple[int, ...]) -> tuple[Values, NDArray[np.intp]]:
-        """Return the distance (K,) px of every second cell from the nearest point of `position` (N, 2) px, to half a
-        cell, and the index (K,) of that point; `shape` is that of all cells.
+    def _nearest(self, position: Points, shape: tuple[int, ...]) -> Numbers:
+        """Return for every second cell, in both directions, the index (K,) of the point of `position` (N, 2) px that is
+        nearest to half a cell; `shape` is that of all cells.
         """
-        distance, nearest = distances((position + 0.5) / self._cell - 0.5, shape)
-        return self._cell * distance[::_STEP, ::_STEP].ravel(), nearest[::_STEP, ::_STEP].ravel()
+        return distances((position + 0.5) / self._cell - 0.5, shape)[1][::_STEP, ::_STEP].ravel()
 
     def _around(self, touching: Mask) -> Mask:
         """Return the mask (h, w) of the topographic view around a contact that has just begun, as far as the first
@@ -122,11 +119,11 @@ class NewSkin:
         lines = touching.sum(0), touching.sum(1)  # number of touching cells by column, and by row
         return np.array([counts @ np.arange(len(counts)) / lines[0].sum() for counts in lines]) * self._cell * _STEP
 
-    def _in(self, touching: Mask, at: Points) -> Mask:
+    def _in(self, touching: Mask, at: Array) -> Mask:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
         return _look_up(touching, row, column)
 
-    def _is_new(self, at: Points, moved: Points, seeding: NDArray[np.integer]) -> Mask:
+    def _is_new(self, at: Array, moved: Points, seeding: NDArray[np.integer]) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
         which the nearest point was seeded, at the time of that seeding.
 
@@ -149,7 +146,7 @@ class NewSkin:
         return distances(position, self.searched[0].shape)[0] < spacing / 2
 
 
-def distances(points: Points, shape: tuple[int, ...]) -> tuple[Values, NDArray[np.intp]]:
+def distances(points: Points, shape: tuple[int, ...]) -> tuple[Array, Numbers]:
     """Return the distance (h, w) px of every pixel of a picture from the nearest of the points (N, 2) px in it, to half
     a pixel, and the index (h, w) of that point.
     """

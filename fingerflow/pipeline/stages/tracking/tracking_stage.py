@@ -17,6 +17,7 @@ from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
+from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -28,10 +29,6 @@ from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import MOST_FRAMES, Points, join
-
-Numbers = NDArray[np.intp]
-Values = NDArray[np.floating]
-Mask = NDArray[np.bool_]
 
 _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
@@ -120,7 +117,7 @@ class TrackingStage(Stage):
                 for points in self._seeded:
                     points.pass_over(len(indices))
 
-    def _step_through(self, images: Images, indices: Numbers, margin: Values) -> None:
+    def _step_through(self, images: Images, indices: Numbers, margin: Array) -> None:
         groups: list[TrackedPoints] = []
         curved: list[NDArray[np.float32]] = []
         motion = _motion(self._seeded) if self._seeded else None
@@ -170,7 +167,7 @@ class TrackingStage(Stage):
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
 
-    def _anisotropy(self) -> Values:
+    def _anisotropy(self) -> Array:
         """Return xx - yy and 2 xy (N, 2) of the covariances of the positions on the glass, divided by xx + yy."""
         spread, onto = np.concatenate([points.spread for points in self._seeded]), self._matrix[:, :2]
         (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
@@ -184,7 +181,7 @@ class TrackingStage(Stage):
         for frame in np.flatnonzero(~self.usable):
             self.results["status"][[frame]] = TrackStatus.FRAME_NOT_USABLE
 
-    def _seed(self, images: Images, margin: Values) -> TrackedPoints:
+    def _seed(self, images: Images, margin: Array) -> TrackedPoints:
         """Seed the first points in the first of the n images, which is that of the first usable frame, and return their
         tracking results (n, N); `margin` is a grid of cells, positive in the gross contact of that frame.
         """
@@ -221,7 +218,7 @@ class TrackingStage(Stage):
         return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
 
     def _start_tracking(
-        self, images: Images, points: NDArray[Any], others: TrackedPoints | None, near: Numbers, *more: Any
+        self, images: Images, points: Array, others: TrackedPoints | None, near: Numbers, *more: Any
     ) -> TrackedPoints:
         """Track newly seeded points (N, 2) px from the first of the n images on, and return their results (n, N).
 
@@ -235,12 +232,12 @@ class TrackingStage(Stage):
         rest = [new.follow(images[1:], others and select(others, slice(1, None), near))] if len(images) > 1 else []
         return join([new.as_seeded, *rest], 0)
 
-    def _detect(self, image: Images, where: Mask, count: int) -> Values:
+    def _detect(self, image: Images, where: Mask, count: int) -> Array:
         picture = image if self._settings.points_from == "recorded" else self._enhanced(image)
         return self._engine.detect(picture, where, count)
 
     def _seed_new(
-        self, images: Images, margin: Values, tracked_points: TrackedPoints, motion: PointMotion | None
+        self, images: Images, margin: Array, tracked_points: TrackedPoints, motion: PointMotion | None
     ) -> TrackedPoints | None:
         """Seed points in skin that has none yet, and return their tracking results (n or 1, K); None without such skin.
 
@@ -312,7 +309,7 @@ class TrackingStage(Stage):
         skin = subtract_background(recorded, self.inputs.reference(self._view))
         return self._engine.images(unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)[:, 0].cpu().numpy())
 
-    def _seeding_region(self, margin: Values) -> Mask:
+    def _seeding_region(self, margin: Array) -> Mask:
         """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
@@ -337,12 +334,12 @@ class TrackingStage(Stage):
     def _on_topography(self, region: Mask) -> Mask:
         return on_topography(region, self._to_contact, self._view.shape)
 
-    def _touching(self, margin: Values) -> Mask:
+    def _touching(self, margin: Array) -> Mask:
         """Return the mask (h, w) of the topographic view of the cells that are positive in `margin`."""
         (rows, columns), cell = self._region.shape, self._engine.cell_px
         return self._on_topography((margin > 0).repeat(cell, 0).repeat(cell, 1)[:rows, :columns])
 
-    def _outside(self, seeded: Mask, margin: Values) -> float:
+    def _outside(self, seeded: Mask, margin: Array) -> float:
         """Return the share of the contact further than two windows from the region `seeded` (h, w): of the contact in
         the first frame, by the cells `margin` that are positive there, or of the largest if there is none yet.
         """
@@ -357,7 +354,7 @@ def _motion(groups: Sequence[Points]) -> PointMotion:
     return PointMotion(*map(np.concatenate, zip(*(group.motion for group in groups), strict=True)))
 
 
-def _shifted(mask: Mask, way: Values) -> Mask:
+def _shifted(mask: Mask, way: Array) -> Mask:
     """Return a mask (h, w) shifted by (x, y) px."""
     matrix = np.column_stack((np.eye(2), way))
     return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1], flags=cv2.INTER_NEAREST) > 0

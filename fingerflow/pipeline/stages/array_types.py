@@ -1,0 +1,13 @@
+"""Types of the arrays of the stages."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]  # indices of frames, points or cells
+Picture = NDArray[np.floating]  # (h, w)
+Points = NDArray[np.float64]  # (..., 2)
+Series = NDArray[np.float64]
