@@ -125,9 +125,9 @@ class ContactStage(Stage):
         self._blind &= self.usable
         gains = self._gain[np.isfinite(self._gain)]
         if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
-            first = int(np.argmax(self._blind)) + self.first_frame
+            first = np.argmax(self._blind) + self.first_frame
             self.warnings.append(
-                f"brightness differs from the empty picture; areas in {int(self._blind.sum())} frames, the first is "
+                f"brightness differs from the empty picture; areas in {self._blind.sum()} frames, the first is "
                 f"{first}, may be wrong: the finger covers the glass that would show by how much. Leave some glass "
                 f"free around the finger, or record the empty glass again"
             )
@@ -139,7 +139,7 @@ class ContactStage(Stage):
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
             self.warnings += area_steps.check_missing_frames(gross, normal, self.first_frame)
-        self.warnings += area_steps.check_cut(self._cut.max(), int(self._cut.argmax()) + self.first_frame)
+        self.warnings += area_steps.check_cut(self._cut.max(), self._cut.argmax() + self.first_frame)
         self.warnings += view_faults.check_strip(self.series["ellipse_semi_axes"], gross, self.first_frame)
         if normal is not None:
             self.warnings += plausibility.check_pressure(normal, gross)
@@ -227,7 +227,7 @@ class ContactStage(Stage):
         usable = np.flatnonzero(self.usable)
         pictures = (
             (frame + self.first_frame, self._counts(frame)[0] - self._black)
-            for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
+            for frame in dict.fromkeys((usable[0], self.reference_frame, usable[-1]))
         )
         self.warnings += view_faults.check_moved_glass(pictures, light, away)
 
@@ -263,7 +263,7 @@ class ContactStage(Stage):
             cells = view_faults.outside_region(region[k], cell_px, radius_px)
             outside = masks[k] & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns]
             index = indices[k]
-            count = int(outside.sum())
+            count = outside.sum()
             self._outside[index] = count * pixel_mm2[k]
             if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.first_frame
@@ -290,7 +290,7 @@ class ContactStage(Stage):
         lit = empty > _LEAST_LIGHT * empty.max()
         share = seen[lit] / (empty[lit] * self._light_gain(frames))
         count = max(share.size, 1)
-        return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
+        return (share > _BRIGHTER).sum() / count, (share < 1 / _BRIGHTER).sum() / count
 
     def _contact(self, frame: int | np.integer) -> FrameContact:
         return self._measure(self._engine.images(self._counts(frame)))

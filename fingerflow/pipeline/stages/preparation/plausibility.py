@@ -83,7 +83,8 @@ def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
     """Yield a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
     level = int(counts.max())
     share = float((counts == level).mean())
-    if share > _CLIPPED and level >= 255 and not level & (level + 1):
+    unit = level & -level  # of counts in the upper bits of a pixel
+    if share > _CLIPPED and level > 254 * unit and not level & (level + unit):
         yield (
             f"{share:.0%} of the {view} view is saturated: its grey level is {level}, the largest there is. Texture "
             f"and loss of light are not seen there, and points and areas are wrong. Lower exposure, gain or light"
@@ -172,7 +173,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     adheres. The area that needs no measurable force follows from A ~ F^(1/3).
     """
     measured = np.isfinite(normal) & np.isfinite(gross)
-    if not measured.any() or not (gross[measured] > 0).any():
+    if not (gross[measured] > 0).any():
         return
     force, area = np.where(measured, normal, 0.0), np.where(measured, gross, 0.0)
     peak, largest = force.max(), area.max()
@@ -187,7 +188,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
         frame = np.argmax(np.where(pressing, np.abs(force), 0))
         yield (
             f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
-            f"{int(pressing.sum())} frames): {cause}"
+            f"{pressing.sum()} frames): {cause}"
         )
         return
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
@@ -208,7 +209,7 @@ def check_growth(normal: Series, gross: Series) -> Iterator[str]:
     if len(last) < 4:
         return
     parts = np.array_split(last, 3)
-    (force, more), (area, larger) = ([float(series[part].mean()) for part in parts[::2]] for series in (normal, gross))
+    (force, more), (area, larger) = ([series[part].mean() for part in parts[::2]] for series in (normal, gross))
     if force > _NOISE and area > 0 and more >= _RISES * force and larger <= area * (more / force) ** _FOLLOWS:
         yield (
             f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
@@ -222,7 +223,7 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     measured = np.flatnonzero(np.isfinite(gross))
     if not len(measured):
         return
-    first, largest = float(gross[measured[0]]), float(gross[measured].max())
+    first, largest = gross[measured[0]], gross[measured].max()
     if first > _STARTS * largest and largest > _GROWS * first:
         yield (
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
@@ -252,17 +253,14 @@ def check_points(seeded: int, requested: int, min_distance_px: float, region_px:
         return
     # Upper bound of the number of points: one for each square of side `min_distance_px`.
     room = round(region_px / min_distance_px**2)
-    if room < requested:
-        why = (
-            f"the region of {region_px} px has room for some {room} that lie {min_distance_px:g} px apart. Lower "
-            f"tracking.min_distance_px, ask for fewer in tracking.points, or make the region larger"
-        )
-    else:
-        why = (
-            f"the region of {region_px} px has room for {room}, but no more corners stand out of the noise. Check "
-            f"focus and light, or ask for fewer in tracking.points"
-        )
-    yield f"{seeded} of {requested} points were found: {why}"
+    lacking = (
+        f"some {room} that lie {min_distance_px:g} px apart. Lower tracking.min_distance_px, ask for fewer in "
+        f"tracking.points, or make the region larger"
+        if room < requested
+        else f"{room}, but no more corners stand out of the noise. Check focus and light, or ask for fewer in "
+        f"tracking.points"
+    )
+    yield f"{seeded} of {requested} points were found: the region of {region_px} px has room for {lacking}"
 
 
 def check_seeded_region(outside: float) -> Iterator[str]:
@@ -323,7 +321,7 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
     unknown = np.flatnonzero(np.isnan(median) & (gross > np.pi * gauge_mm**2))
     if len(unknown):
         frame = unknown[0]
-        share = float(np.nan_to_num(coverage[frame]))
+        share = np.nan_to_num(coverage[frame])
         yield (
             f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
             f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, {LEAST_SHARE:.0%} are "
