@@ -139,7 +139,7 @@ class ContactStage(Stage):
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
             self.warnings += area_steps.check_missing_frames(gross, normal, self.first_frame)
-        self.warnings += area_steps.check_cut(self._cut.max(), self._cut.argmax() + self.first_frame)
+        self.warnings += area_steps.check_cut(self._cut.max(), int(self._cut.argmax()) + self.first_frame)
         self.warnings += view_faults.check_strip(self.series["ellipse_semi_axes"], gross, self.first_frame)
         if normal is not None:
             self.warnings += plausibility.check_pressure(normal, gross)
@@ -320,7 +320,7 @@ class ContactStage(Stage):
         """
         picture, empty, dark = (image[..., ::_STEP, ::_STEP] for image in (counts[None], *self._light))
         shares = ((picture - dark) / np.maximum(empty, 1)).clip(0, 1)[empty > 0]
-        seen = float(shares.sum() / max(shares.size, 1))
+        seen = shares.sum() / max(shares.size, 1)
         return seen / self._light_gain(counts) if seen > _LEAST_LIGHT else np.nan
 
     def _light_gain(self, counts: NDArray[Any]) -> float:

@@ -39,7 +39,7 @@ def check_unlit_glass(region: Mask, light: Picture, radius_px: int, drawn: bool)
     `light` is 0 outside of views.contact.region too if that is `drawn`.
     """
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
-    unlit = float((light[around] <= 0).mean()) if around.any() else 0.0
+    unlit = (light[around] <= 0).mean() if around.any() else 0.0
     if unlit > _UNLIT_BORDER:
         yield (
             f"the contact reaches glass without light{' or the border of views.contact.region' * drawn} along "
@@ -203,10 +203,10 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     if causes := [*check_background_lines(light)] or [*moved]:
         return causes[0]
     share = np.divide(frame, light, out=np.ones(light.shape), where=light > 0)
-    level = float(np.median(share))
+    level = np.median(share)
     # The middles of two halves of a view are half of its side apart.
-    halves = [[float(np.median(half)) for half in np.array_split(share, 2, axis)] for axis in (0, 1)]
-    across = 2 * float(np.linalg.norm(np.diff(halves)))
+    halves = [[np.median(half) for half in np.array_split(share, 2, axis)] for axis in (0, 1)]
+    across = 2 * np.linalg.norm(np.diff(halves))
     fall = across / (level + across / 2)
     if fall > _UNEVEN:
         return (
@@ -214,9 +214,9 @@ def described(frame: Picture, light: Picture, number: int) -> str:
             f"record the empty glass again"
         )
     causes = [f"the whole view has {level:.0%} of the background's light"] if abs(level - 1) > _UNEVEN else []
-    dark = float((share < level - _UNEVEN).mean())
+    dark = (share < level - _UNEVEN).mean()
     if dark > 0.002:
-        causes.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
+        causes.append(f"{dark:.1%} of it is darker than the rest, as by a cable, dirt, or skin that noise hides")
     return "; ".join(causes)
 
 

@@ -82,7 +82,7 @@ def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[
 def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
     """Yield a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
     level = int(counts.max())
-    share = float((counts == level).mean())
+    share = (counts == level).mean()
     unit = level & -level  # of counts in the upper bits of a pixel
     if share > _CLIPPED and level > 254 * unit and not level & (level + unit):
         yield (
