@@ -17,7 +17,7 @@ def skin_in_contact(scene: SyntheticScene, frame: int, step_mm: float) -> Array:
     """Return material positions (N, 2) mm of the skin on a grid over the contact in a frame."""
     ellipse = scene.truth.ellipse(frame)
     assert ellipse is not None
-    axis = np.arange(-max(ellipse.semi_axes), max(ellipse.semi_axes), step_mm)
+    axis = np.arange(-10, 10, step_mm)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
     inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
     return np.asarray(scene.truth.material(places[inside], frame))

@@ -131,4 +131,4 @@ class Slot(Frame):
                     "bundle; export one with the camera's bit_depth"
                 )
         if self._bright:
-            self.views[CONTACT_VIEW][...] = negative(self.views[CONTACT_VIEW], bundle.bit_depth)
+            self.views[CONTACT_VIEW][...] = negative(self.views[CONTACT_VIEW], 2**bundle.bit_depth - 1)

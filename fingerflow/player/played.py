@@ -80,7 +80,7 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
     if size and size_of_dark and size != size_of_dark:
         raise PlayerError(f"{path}: frames of [background] are {size}, those of dark {size_of_dark}; record both alike")
     if bright:
-        glass = negative(glass, bundle.bit_depth)
+        glass = negative(glass, 2**bundle.bit_depth - 1)
     if options.camera:
         camera = options.camera
         name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")

@@ -11,18 +11,11 @@ from fingerflow.schema.keys import key, table
 _SEMI_AXIS = number(least=1e-3, most=1e6)
 
 
-def negative(counts: Any, bit_depth: int | None) -> Any:
-    """Return the negative of a picture, an array or a tensor of camera counts: the largest count of the camera less
+def negative(counts: Any, largest: float) -> Any:
+    """Return the negative of a picture, an array or a tensor of camera counts: the `largest` count of the camera less
     each count, so that contact which appears bright becomes dark.
-
-    Raises FingerflowError without a bit depth, as floating-point counts have no largest value.
     """
-    if bit_depth is None:
-        raise FingerflowError(
-            'contact.appears is "bright", and the frames are floating-point numbers, of which no largest grey level is '
-            "known: record or convert them as integers of 8 to 16 bit"
-        )
-    return (2**bit_depth - 1) - counts
+    return largest - counts.clip(max=largest)
 
 
 # fmt: off

@@ -131,6 +131,15 @@ def test_interlaced_rows_and_wide_pixels_are_named(tmp_path, codec, options):
     assert ("wide pixels (" in said) == ("aspect" in options)
 
 
+@pytest.mark.parametrize("reordered", ["0", "2"])
+def test_frames_that_an_edit_list_leaves_out_are_not_missing(tmp_path, reordered):
+    ticks = range(-3, COUNT - 3)
+    path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "gray", ticks=ticks, bf=reordered, qp="0")
+    recording = open_recording(path)
+    np.testing.assert_array_equal(recording.read(), frames_of(8)[3:])
+    assert "missing" not in "".join(recording.warnings)
+
+
 def test_mp4_without_its_index_is_refused(tmp_path):
     path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[:-2000])

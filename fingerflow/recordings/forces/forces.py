@@ -165,6 +165,6 @@ class Forces:
 
 def _rate(times: Samples) -> float | None:
     """Return the sample rate in Hz from the median interval between times; None for fewer than two times."""
-    steps = np.abs(np.diff(np.sort(times)))
+    steps = np.diff(np.sort(times))
     steps = steps[steps > 0]
     return 1.0 / float(np.median(steps)) if steps.size else None

@@ -144,10 +144,10 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
     )
     warnings = () if whole else (decimals,)
     finest = Decimal(1).scaleb(min(int(number.normalize().as_tuple().exponent) for number in numbers))
-    counts = [int(number / finest) if not whole else int(number) for number in numbers]
+    counts = [int(number / finest) for number in numbers]
     steps = np.diff(counts)
     if not steps.all():
-        same = int(np.argmin(steps))
+        same = np.argmin(steps)
         raise FingerflowError(
             f"{folder}: {files[same].name} and {files[same + 1].name} have the same number; leave one of them in it"
         )
@@ -156,7 +156,7 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
     uneven = bool((steps % step).any())
     if not (missing or uneven):
         return list(files), warnings
-    gap = int(np.argmax(steps > step))
+    gap = np.argmax(steps > step)
     where = f"the first between {files[gap].name} and {files[gap + 1].name}"
     if uneven or missing > len(files):
         gaps = f"the numbers of the images have gaps, {where}; they are read as consecutive frames"

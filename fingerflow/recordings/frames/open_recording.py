@@ -38,11 +38,9 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         raise FingerflowError(f"{path}: frame_rate={frame_rate} was given; it must lie between 1e-06 and 1e+09 Hz")
     file, _, inside = str(path).partition("::")
     location = Path(file)
-    if os.path.isdir(location):  # returns False, without an error, if permission is missing
-        reader = "images"
-    elif location.suffix.lower() in _READER_OF:
-        reader = _READER_OF[location.suffix.lower()]
-    else:
+    # `isdir` returns False, without an error, if permission is missing.
+    reader = "images" if os.path.isdir(location) else _READER_OF.get(location.suffix.lower())
+    if reader is None:
         check_file(location)
         raise FingerflowError(
             f"{location}: {location.suffix or 'a file without suffix'} is not a recording. Known are a folder of "

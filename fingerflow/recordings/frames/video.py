@@ -52,10 +52,12 @@ def open_frames(path: Path) -> Recording:
         if stream.codec_context is None:
             raise FingerflowError(f"{path}: its codec is not known; convert it, for example to FFV1 in .mkv")
         pixels = _pixels(path, stream.codec_context.pix_fmt, stream.codec_context.height, stream.codec_context.width)
-        promised, rate, tick = stream.frames, stream.average_rate, stream.time_base
+        rate, tick, file_format = stream.average_rate, stream.time_base, container.format.name
+        # An edit list leaves out frames of an MP4 that the number in its header counts.
+        promised = sum(not one.is_discard for one in stream.index_entries) if "mp4" in file_format else stream.frames
         luma_range = LUMA_RANGE.get(int(stream.codec_context.color_range), "not stated")
         codec, lossy = stream.codec_context.name, _lossy(stream.codec_context)
-        seconds, file_format = (container.duration or 0) / av.time_base, container.format.name
+        seconds = (container.duration or 0) / av.time_base
         index = _index(path, container, stream)
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
@@ -89,8 +91,8 @@ def open_frames(path: Path) -> Recording:
     if hertz is not None and stamps is not None:
         # Containers round time stamps to a tick (MKV: 1 ms), so stamps that are evenly spaced within a tick count as
         # even; the rate that they state may be that of their ticks or of the playback.
-        for one in (hertz, (index.count - 1) / max(stamps[-1], float(tick))):
-            hertz = float(one)
+        rates = hertz, (index.count - 1) / max(float(stamps[-1]), float(tick))
+        for hertz in rates:
             if np.max(np.abs(stamps - np.arange(index.count) / hertz)) <= float(tick) * 1.001:
                 stamps = None
                 break
@@ -382,7 +384,7 @@ def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
 
 def _index(path: Path, container: Any, stream: Any) -> _Index:
     size = path.stat().st_size
-    entries = list(stream.index_entries)
+    entries = [entry for entry in stream.index_entries if not entry.is_discard]
     if entries and len(entries) == stream.frames and not stream.codec_context.has_b_frames:
         packets = [(entry.timestamp, entry.is_keyframe, False) for entry in entries if entry.pos + entry.size <= size]
     else:

@@ -51,7 +51,7 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     assert "27% of the contact lies outside the region" in next(plausibility.check_seeded_region(0.27))
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more
-    for level in (255, 1023, 4095, 65535):
+    for level in (255, 1023, 65535, 4095 << 4):
         (saturated,) = plausibility.check_clipped("topography", np.minimum(np.arange(1000) * level // 950, level))
         assert f"5% of the topography view is saturated: its grey level is {level}" in saturated
     # An unusable frame between two frames does not hide a jump.

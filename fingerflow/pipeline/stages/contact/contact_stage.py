@@ -209,7 +209,7 @@ class ContactStage(Stage):
         usable = np.flatnonzero(self.usable)
         pictures = (
             (frame + self.first_frame, self._counts(frame)[0] - self._black)
-            for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
+            for frame in dict.fromkeys((usable[0], self.reference_frame, usable[-1]))
         )
         self.warnings += view_faults.check_moved_glass(pictures, light, away)
 
@@ -243,7 +243,7 @@ class ContactStage(Stage):
             cells = view_faults.outside_region(region[k], cell_px, radius_px)
             outside = masks[k] & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns]
             index = indices[k]
-            count = int(outside.sum())
+            count = outside.sum()
             self._outside[index] = count * pixel_mm2[k]
             if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.first_frame
@@ -278,7 +278,7 @@ class ContactStage(Stage):
         """
         share = self._light_left(frame)
         count = max(share.size, 1)
-        return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
+        return (share > _BRIGHTER).sum() / count, (share < 1 / _BRIGHTER).sum() / count
 
     def _contact(self, frame: int | np.integer) -> FrameContact:
         return self._measure(self._engine.images(self._counts(frame)))

@@ -36,7 +36,7 @@ def check_unlit_glass(region: Mask, light: Picture, radius_px: int, drawn: bool)
     `light` is 0 outside of views.contact.region too if that is `drawn`.
     """
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
-    unlit = float((light[around] <= 0).mean()) if around.any() else 0.0
+    unlit = (light[around] <= 0).mean() if around.any() else 0.0
     if unlit > _UNLIT_BORDER:
         yield (
             f"the contact reaches glass without light{' or the border of views.contact.region' * drawn} along "

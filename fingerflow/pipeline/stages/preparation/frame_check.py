@@ -97,11 +97,11 @@ class FrameCheckStage(Stage):
         self.warnings += (causes := views.warnings())
         status[jumps_and_returns(distances, status == USABLE)] = JUMPS
         self.results.put("frame_status", status)
-        faults = [(meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1)]
-        faults = [(meaning, frames) for meaning, frames in faults if len(frames)]
+        by_value = ((meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1))
+        faults = [fault for fault in by_value if len(fault[1])]
         for meaning, frames in faults:
             numbers = frames + self.first_frame
-            why = f" ({reasons[int(frames[0])]})" if status[frames[0]] == UNREADABLE else ""
+            why = f" ({reasons[frames[0]]})" if status[frames[0]] == UNREADABLE else ""
             self.warnings.append(
                 f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
             )

@@ -22,7 +22,8 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
 
-# Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
+# Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame. Most frames of the
+# recording in which the largest count is searched, too.
 _REFERENCE_FRAMES = 64
 _LEAST_LIGHT = 0.05  # least share of the light of the empty glass that a picture without light lacks
 # Size of decoded frames that stay in memory: frames are checked before they are tracked, and decoding may take as long
@@ -77,7 +78,16 @@ class Inputs:
         return self._darken_contact(view.crop(frames), view)
 
     def _darken_contact(self, counts: Any, view: View) -> Any:
-        return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
+        return negative(counts, self._largest_count) if self._is_bright(view) else counts
+
+    @cached_property
+    def _largest_count(self) -> float:
+        """Return the largest count of the camera: of integers that of as many bits as a sample of frames fills, since
+        pixels of 16 bits may hold fewer; of floating-point frames the largest in the sample.
+        """
+        sample = read_frames(self.recording[:: -(-len(self.recording) // _REFERENCE_FRAMES)])
+        largest: float = np.nanmax(sample).item()
+        return largest if isinstance(largest, float) else 2 ** max(8, largest.bit_length()) - 1
 
     def _is_bright(self, view: View) -> bool:
         return self.scene.contact.appears == "bright" and view == self.scene.views.contact
@@ -125,7 +135,7 @@ class Inputs:
                     f"{path}: the background has frames of {_size(still.frame_shape)}, the recording "
                     f"{self.recording.path} of {_size(self.recording.frame_shape)}; {remedy}"
                 )
-            if {_fits_a_byte(still), _fits_a_byte(self.recording)} == {True, False}:
+            if {still.dtype.itemsize, self.recording.dtype.itemsize} == {1, 2}:
                 raise FingerflowError(
                     f"{path}: the background has {still.bit_depth} bit, the recording {self.recording.path} "
                     f"{self.recording.bit_depth}: their grey levels cannot be compared; {remedy}"
@@ -233,11 +243,6 @@ def _device(name: str) -> torch.device:
         reason = str(error).partition("\n")[0]
         raise FingerflowError(f"the device {name!r} cannot be used ({reason}); choose auto, cpu or cuda") from error
     return device
-
-
-def _fits_a_byte(recording: Recording) -> bool | None:
-    """Return whether grey levels fit into 8 bits; None for floating-point frames, whose bit depth is unknown."""
-    return None if recording.bit_depth is None else recording.bit_depth <= 8
 
 
 def _size(shape: tuple[int, int]) -> str:

@@ -68,8 +68,9 @@ def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[
 def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
     """Yield a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
     level = int(counts.max())
-    share = float((counts == level).mean())
-    if share > _CLIPPED and level >= 255 and not level & (level + 1):
+    share = (counts == level).mean()
+    unit = level & -level  # of counts in the upper bits of a pixel
+    if share > _CLIPPED and level > 254 * unit and not level & (level + unit):
         yield (
             f"{share:.0%} of the {view} view is saturated: its grey level is {level}, the largest there is. Texture "
             f"and loss of light are not seen there, and points and areas are wrong. Lower exposure, gain or light"
@@ -149,7 +150,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     adheres. The area that needs no measurable force follows from A ~ F^(1/3).
     """
     measured = np.isfinite(normal) & np.isfinite(gross)
-    if not measured.any() or not (gross[measured] > 0).any():
+    if not (gross[measured] > 0).any():
         return
     force, area = np.where(measured, normal, 0.0), np.where(measured, gross, 0.0)
     peak, largest = force.max(), area.max()
@@ -164,7 +165,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
         frame = np.argmax(np.where(pressing, np.abs(force), 0))
         yield (
             f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
-            f"{int(pressing.sum())} frames): {cause}"
+            f"{pressing.sum()} frames): {cause}"
         )
         return
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
@@ -185,7 +186,7 @@ def check_growth(normal: Series, gross: Series) -> Iterator[str]:
     if len(last) < 4:
         return
     parts = np.array_split(last, 3)
-    (force, more), (area, larger) = ([float(series[part].mean()) for part in parts[::2]] for series in (normal, gross))
+    (force, more), (area, larger) = ([series[part].mean() for part in parts[::2]] for series in (normal, gross))
     if force > _NOISE and area > 0 and more >= _RISES * force and larger <= area * (more / force) ** _FOLLOWS:
         yield (
             f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
@@ -199,7 +200,7 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     measured = np.flatnonzero(np.isfinite(gross))
     if not len(measured):
         return
-    first, largest = float(gross[measured[0]]), float(gross[measured].max())
+    first, largest = gross[measured[0]], gross[measured].max()
     if first > _STARTS * largest and largest > _GROWS * first:
         yield (
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
