@@ -164,7 +164,7 @@ def _reason_to_compute(
     lacking = [variable.name for variable in stage.gives if variable.name in plan.requested and not variable.unasked]
     lacking = [name for name in lacking if name not in record["gave"]]
     if lacking:
-        return f"{', '.join(lacking)} is not there"
+        return f"{lacking[0]} is not there"
     if record["digest"] == key.digest:
         return ""
     then: Mapping[str, Any] = record["settings"]
