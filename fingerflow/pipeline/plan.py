@@ -26,7 +26,7 @@ _REMEDIES = {
 
 
 class Plan(NamedTuple):
-    """Plan of a run: stages sorted by dependency, and names of requested optional variables."""
+    """Plan of a run: stages sorted by dependency, and names of requested optional variables with their deviations."""
 
     stages: tuple[type[Stage], ...]
     requested: frozenset[str]
@@ -82,7 +82,8 @@ def _add_needs(requested: Iterable[type[Stage]], named: frozenset[str], stages: 
         if stage in needed:
             needed.update(stage.after, stage.same_pass)
     run = tuple(stage for stage in ordered if stage in needed)
-    return Plan(run, named.union(*(stage.reads for stage in run)))
+    stored = named.union(*(stage.reads for stage in run))
+    return Plan(run, stored.union(name for name in VARIABLES if name.removesuffix("_std") in stored))
 
 
 def _missing_keys(stage: type[Stage], scene: Scene) -> list[str]:

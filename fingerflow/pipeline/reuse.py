@@ -157,7 +157,7 @@ def _reason_to_compute(
     optional = {variable.name for variable in stage.gives if not variable.unasked}
     lacking = sorted((optional & plan.requested).difference(record["gave"]))
     if lacking:
-        return f"{', '.join(lacking)} is not there"
+        return f"{lacking[0]} is not there"
     if record["digest"] == key.digest:
         return ""
     then: Mapping[str, Any] = record["settings"]

@@ -127,6 +127,13 @@ def _angle_std(semi_axes: Any) -> Any:
     return 1 / (12 / pi**2 + ((semi_axes[..., 0] - semi_axes[..., 1]) / 0.03) ** 2) ** 0.5
 
 
+def _shear_std(shear: Any, divergence_std: Any, curl_std: Any) -> Any:
+    """Return the standard deviations (frames, points, 2) of shear along the axes and along the diagonals."""
+    result = 0 * shear
+    result[..., 0], result[..., 1] = divergence_std, curl_std
+    return result
+
+
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
 #: Names of the frame status values; only usable frames have results.
@@ -321,13 +328,22 @@ FIELDS = (
         "shear of the displacement: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals; with the global "
         "displacement, divergence and curl the decomposition of Willemet et al. 2021, figure S6", "f4",
         equation="(u_x − v_y, u_y + v_x)", shown_in=UM_PER_MM, unasked=False),
+    Variable("shear_std", ("frame", "point", "shear_component"), "1", f"{_ERROR} shear", "f4",
+        equation="(divergence_std, curl_std): u_x and v_y err alike, as do u_y and v_x", shown_in=UM_PER_MM,
+        unasked=False, formula=_shear_std, of=("shear", "divergence_std", "curl_std")),
     Variable("rigid_residual", ("frame", "point", "xy"), "mm",
         "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip", "f4",
         equation="u − (R X + t), R and t the rotation and the shift of least squares", shown_in=MICROMETRE,
         unasked=False, label="non-rigid motion"),
+    Variable("rigid_residual_std", FRAME_POINT, "mm", f"{_ERROR} component of rigid_residual", "f4",
+        equation="√(σ²(u) + (median of σ(u) / 2)²), the last of the rigid motion, as points share errors",
+        shown_in=MICROMETRE, unasked=False),
     Variable("rigid_residual_median", FRAME, "mm",
         "median length of rigid_residual; NaN below 0.85 of field_coverage, and of fewer than 4 points",
         equation=f"median of {_RIGID_EQUATION}", shown_in=MICROMETRE, label="median non-rigid motion"),
+    Variable("rigid_residual_median_std", FRAME, "mm", f"{_ERROR} rigid_residual_median",
+        equation="√(min(b, b²/median)² + (1.4 c)² + (o/4)²), b 1.18 times the mean deviation of points by noise, c and "
+        "o those by curvature within windows and by the time of onset", shown_in=MICROMETRE),
     Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_FIELD_STD_EQUATION,
         shown_in=UM_PER_MM),
     Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_FIELD_STD_EQUATION, shown_in=UM_PER_MM),
@@ -372,8 +388,14 @@ STRAIN = (
         "differences of the strain of a triangle, σ its strain_std", shown_in=UM_PER_MM_S, unasked=False),
     Variable("principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4",
         equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=UM_PER_MM, unasked=False),
+    Variable("principal_strains_std", (*TRIANGLE, "principal"), "1", f"{_ERROR} principal strains", "f4",
+        equation="√(cos⁴φ σ²(e_xx) + sin⁴φ σ²(e_yy) + sin²2φ σ²(e_xy)), φ the direction of each", shown_in=UM_PER_MM,
+        unasked=False),
     Variable("principal_angle", TRIANGLE, "rad", "direction of the major principal strain, from x towards y", "f4",
         equation="½ atan2(2 e_xy, e_xx − e_yy)", unasked=False),
+    Variable("principal_angle_std", TRIANGLE, "rad", f"{_ERROR} principal_angle", "f4",
+        equation="1/√(12/π² + (e₁ − e₂)²/(sin²2φ (σ²(e_xx) + σ²(e_yy))/4 + cos²2φ σ²(e_xy))), at most π/√12, that of "
+        "any angle", unasked=False),
     Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4",
         equation="w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²",
         shown_in=MICROJOULE),
@@ -415,6 +437,8 @@ PRINTED_STRAIN = (
 SLIP = (
     Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",
         equation="stuck_ratio gross_contact_area", label="stick area"),
+    Variable("stuck_area_std", FRAME, "mm2", f"{_ERROR} stuck_area",
+        equation="√((gross_contact_area σ(d²))² + (d² σ(gross_contact_area))²)"),
     Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²",
         equation="d² = stuck share of the gross contact's area", label="stick ratio d²"),
     Variable("stuck_ratio_std", FRAME, "1",

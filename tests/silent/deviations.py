@@ -23,7 +23,8 @@ from bench.recordings import write_quietly
 from fingerflow import process
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
+from fingerflow.ops.fields.rigid_motion import rigid_residual
+from fingerflow.ops.fields.strain import green_lagrange, principal_strains, shear, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_gradients
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import ChainPress, PartialSlip, Press
@@ -45,6 +46,7 @@ _FRAMES = 7  # of a scene, that are compared
 _STEPS_MM = 0.07, 0.15
 _LEAST_MM2 = 10.0  # contact from which medians and energies are compared
 _STRAINS = ("exx", "eyy", "exy")
+_OPTIONAL = "shear", "rigid_residual", "principal_strains", "principal_angle"
 _FIELDS = "divergence", "curl", "point_strain"
 _AT_POINTS = "position_px", "position_std_px", "entered", *_FIELDS, *(f"{name}_std" for name in _FIELDS)
 
@@ -65,7 +67,8 @@ def judged(some: Iterator[tuple[str, SyntheticScene]]) -> Iterator[Case]:
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "recording"
             write_quietly(recording, scene)
-            recorded = compared(process(recording / "scene.toml"), scene)
+            outputs = [*_OPTIONAL, *(() if isinstance(scene, _PRESSES) else ("stuck_area",))]
+            recorded = compared(process(recording / "scene.toml", outputs), scene)
             live = of_stream(recording, scene) if is_present() else {}
         for of, errors in ((kind, recorded), (f"{kind}, live", live)):
             for name, parts in errors.items():
@@ -164,10 +167,32 @@ class _Skin:
         density = strain_energy_density(torch.from_numpy(true_strain)).numpy()
         measured, stated = (result[f"strain_energy_density{of}"].values[frame] for of in ("", "_std"))
         errors["strain_energy_density"] = measured - density, stated
+        principal, angle = (part.numpy() for part in principal_strains(torch.from_numpy(true_strain)))
+        turned = result["principal_angle"].values[frame] - angle
+        errors["principal_angle"] = np.arctan(np.tan(turned)), result["principal_angle_std"].values[frame]
+        true = {"shear": shear(torch.from_numpy(gradient)).numpy(), "principal_strains": principal}
+        for name, field in true.items():
+            errors[name] = result[name].values[frame] - field, result[f"{name}_std"].values[frame]
+        errors |= self._not_rigid(moved, frame)
         strain = result["strain"].values[frame] - true_strain
         for column, name in enumerate(_STRAINS):
             errors[f"strain {name}"] = strain[:, column], result["strain_std"].values[frame][:, column]
         return errors
+
+    def _not_rigid(self, moved: Array, frame: int) -> Errors:
+        """Return errors and deviations of what the best rigid motion leaves of the true displacements `moved` (N, 2) of
+        the same points.
+        """
+        result, reference = self.result, self.truth.positions(self.material, frame) - moved
+        residual, stated = (result[f"rigid_residual{of}"].values[frame] for of in ("", "_std"))
+        counted = np.where(np.isfinite(residual), moved, np.nan)
+        true = rigid_residual(*(torch.from_numpy(values)[None] for values in (reference, counted)))[0].numpy()
+        median, of_median = (result[f"rigid_residual_median{of}"].values[frame] for of in ("", "_std"))
+        length = np.nanmedian(np.hypot(*true.T)) if np.isfinite(true).any() else np.nan
+        return {
+            "rigid_residual": (residual - true, stated[:, None].repeat(2, 1)),
+            "rigid_residual_median": (np.array([median - length]), np.array([of_median])),
+        }
 
     def gradient(self, frame: int) -> Array:
         """Return the true displacement gradients (N, 2, 2); of points that moved in, since their own entry."""
@@ -221,7 +246,7 @@ def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors
         else:
             true["strain_energy"] = float(np.nansum(energies(gradient, step)))
     if isinstance(scene, PartialSlip) and "stuck_ratio" in result:
-        true["stuck_ratio"] = scene.stuck_share(frame)
+        true |= {"stuck_ratio": scene.stuck_share(frame), "stuck_area": gross * scene.stuck_share(frame)}
     errors = {}
     for name, value in true.items():
         variable, _, component = name.partition(" ")

@@ -101,6 +101,25 @@ def principal_strains(strain: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack((mean + radius, mean - radius), dim=-1), angle
 
 
+def principal_deviations(strain: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the standard deviations of the principal strains (..., 2) and of the angle (...) of the major one, rad, by
+    independent errors, of standard deviations `std`, of the measured strain (..., 3).
+
+    Where the principal strains differ by less than their errors, the angle is that of any direction, whose deviation is
+    pi / sqrt(12).
+    """
+    principal, angle = principal_strains(strain)
+    xx, yy, xy = _components(std * std)
+    twice = 2 * torch.where(angle.isnan(), 0, angle)
+    along, across = (1 + torch.cos(twice)) / 2, (1 - torch.cos(twice)) / 2
+    mixed = torch.sin(twice) ** 2
+    variances = [one**2 * xx + other**2 * yy + mixed * xy for one, other in ((along, across), (across, along))]
+    turned = mixed * (xx + yy) / 4 + torch.cos(twice) ** 2 * xy
+    difference = principal[..., 0] - principal[..., 1]
+    angle_std = (12 / math.pi**2 + difference * difference / turned).rsqrt()
+    return torch.stack(variances, dim=-1).sqrt(), torch.where(angle.isnan(), angle, angle_std)
+
+
 def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
     """Return the elastic energy density (...), mJ/mm^3, of an isotropic linear solid in plane strain.
 

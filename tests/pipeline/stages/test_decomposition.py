@@ -6,6 +6,7 @@ import numpy as np
 from stages_alone import inputs_of, run, trial_of, values_of
 
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
+from fingerflow.pipeline.stages.deformation.residual_deviations import residual_deviations
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
@@ -47,3 +48,20 @@ def test_parts_of_a_uniform_gradient() -> None:
     np.testing.assert_allclose(np.sin(turned), 0, atol=1e-3)
     # The symmetric part of the gradient remains, to second order in the rotation.
     np.testing.assert_allclose(found["rigid_residual"], (points - 1.8) @ symmetric.T, atol=3e-3)
+
+
+def test_noise_alone_is_within_the_deviation_of_its_median_length() -> None:
+    """The residuals of 2000 resting points are noise, whose median length its deviation holds, to 5 %; skin that has
+    moved far has the deviation by curvature alone.
+    """
+    noise = np.full((1, 2000), 0.001**2)
+    length = np.hypot(*np.random.default_rng(5).normal(0, 0.001, (2, *noise.shape)))
+    median = np.median(length, 1)
+    of_points, of_median = residual_deviations(length, median, noise, noise, 0 * noise)
+    np.testing.assert_allclose(of_median, median, rtol=0.05)
+    np.testing.assert_allclose(of_points, 0.001 * np.hypot(1, 0.5))
+    _, of_median = residual_deviations(length + 9, median + 9, 5 * noise, noise, 4 * noise)
+    np.testing.assert_allclose(of_median, 1.4 * 0.002, rtol=1e-3)
+    assert np.isnan(
+        np.concatenate(residual_deviations(length + np.nan, median + np.nan, noise, noise, noise), None)
+    ).all()

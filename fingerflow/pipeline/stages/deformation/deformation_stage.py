@@ -15,6 +15,7 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.array_types import Numbers, Points
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
+from fingerflow.pipeline.stages.deformation.residual_deviations import residual_deviations
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import resolve_reference
@@ -160,8 +161,8 @@ class DeformationStage(Stage):
         self._stated = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.requested)]
         for name in self._stated:
             self.results.create(name, self._gauge)
-        if "rigid_residual" in self.trial.requested:
-            self.results.create("rigid_residual")
+        for name in {"rigid_residual", "rigid_residual_std"} & self.trial.requested:
+            self.results.create(name)
         widest = 2 * float(np.fmax.reduce(self.border.semi_axes[:, 1]))
         self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.
@@ -194,13 +195,17 @@ class DeformationStage(Stage):
             self.results[name][frames] = getattr(now.fields, name)
         reference, moved = (self.inputs.tensor(values) for values in (self.reference[None], now.lasting.displacement))
         residual = rigid_residual(reference, moved).cpu().numpy()
-        if "rigid_residual" in self.results:
-            self.results["rigid_residual"][frames] = residual
         across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
+        length = np.sqrt(across * across + down * down)
         # Three points, moved rigidly, leave hardly a residual.
-        enough = (np.isfinite(across).sum(1) > 3) & (now.fields.known_share >= LEAST_SHARE)
-        median = nanmedian(np.sqrt(across * across + down * down))
-        self.series["rigid_residual_median"][frames] = np.where(enough, median, np.nan)
+        enough = (np.isfinite(length).sum(1) > 3) & (now.fields.known_share >= LEAST_SHARE)
+        median = np.where(enough, nanmedian(length), np.nan)
+        of_points, of_median = residual_deviations(length, median, now.square, now.since.variance, now.since.curvature)
+        for name, values in (("rigid_residual", residual), ("rigid_residual_std", of_points)):
+            if name in self.results:
+                self.results[name][frames] = values
+        self.series["rigid_residual_median"][frames] = median
+        self.series["rigid_residual_median_std"][frames] = of_median
         self.series["field_coverage"][frames] = now.fields.known_share
         self._median[frames], self._variance[frames], self._bias[frames] = now.fields.median, now.variance, now.bias
         return now.lasting

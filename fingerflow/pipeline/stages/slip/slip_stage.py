@@ -219,9 +219,10 @@ class SlipStage(Stage):
         power = {} if not (border and border.fit) else {"power": border.fit.power, "power_std": border.fit.power_std}
         self.about |= {"stuck_area": limit, "stuck_ratio": limit | power | judged}
         self.about["printed_stuck_ratio"] = {"stuck_mm": settings.stuck_mm}
-        self.series["stuck_area"] = ratio * self._area
         ridge_mm = 2 * self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
         area_std = self.results["gross_contact_area_std"][:]
+        self.series["stuck_area"] = ratio * self._area
+        self.series["stuck_area_std"] = np.hypot(self._area * deviation, ratio * area_std)
         rates, rates_std = growth_rates(self._growth, self.inputs.times, self._area, area_std, ridge_mm)
         self.series |= {"leading_area_rate": rates[0], "trailing_area_rate": rates[1]}
         self.series |= {"leading_area_rate_std": rates_std[0], "trailing_area_rate_std": rates_std[1]}

@@ -5,7 +5,7 @@ import torch
 
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.strain import principal_strains, strain_energy_density_std
+from fingerflow.ops.fields.strain import principal_deviations, principal_strains, strain_energy_density_std
 from fingerflow.ops.fields.triangle_strain import TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Series
@@ -77,7 +77,7 @@ class StrainStage(Stage):
         self._since = moved.attributes
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
-        self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
+        self._principal = {name for name in self.trial.requested if name.startswith("principal_")}
         density = "strain_energy_density", "strain_energy_density_std"
         for name in ("strain", "strain_std", *density, *sorted(self._principal)):
             self.results.create(name, self._since if "energy" in name else measure)
@@ -131,6 +131,8 @@ class StrainStage(Stage):
         values |= {"strain_energy_density": corrected.density, "strain_energy_density_std": density_std}
         if self._principal:
             values["principal_strains"], values["principal_angle"] = principal_strains(corrected.strain)
+            deviations = principal_deviations(corrected.strain, stated.strain_std)
+            values["principal_strains_std"], values["principal_angle_std"] = deviations
         for name, computed in values.items():
             if name in self.results:
                 self.results[name][batch.indices] = computed.cpu().numpy()
