@@ -45,7 +45,8 @@ def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
     if np.isfinite(period) and not least <= period <= most:
         yield (
             f"calibration.mm_per_px = {mm_per_px:g} puts the ridges {period:.2g} mm apart, and those of fingers are "
-            f"{least:g} to {most:g} mm apart: the scale is wrong, and lengths and areas with it; calibrate again"
+            f"{least:g} to {most:g} mm apart: lengths and areas are wrong, as where a diameter is taken for a radius; "
+            f"calibrate again"
         )
 
 
@@ -139,7 +140,7 @@ def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
     if not least <= pressure <= most:
         yield (
             f"the largest normal force, {force:,.3g} N on {area:.3g} mm², is a mean pressure of {pressure:,.3g} kPa; "
-            f"fingertips have {least:g} to {most:g}: check [forces] units and gain, and calibration.mm_per_px"
+            f"fingertips have {least:g} to {most:g}: check [forces] units (mN, g), gain, and calibration.mm_per_px"
         )
 
 
@@ -204,7 +205,8 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     if first > _STARTS * largest and largest > _GROWS * first:
         yield (
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
-            f"{measured[0] + first_frame}, so that displacement lacks what came before: lower recording.first_frame"
+            f"{measured[0] + first_frame}, and displacement there lacks what came before: lower recording.first_frame, "
+            f"record earlier, or give fields.reference"
         )
 
 
@@ -305,7 +307,7 @@ def check_energy(gross: Series, misfit: Mask, gauge_mm: float, first_frame: int)
     if len(misfits):
         yield (
             f"no smooth field explains the displacements well in {len(misfits)} frames with contact, the first is "
-            f"{misfits[0] + first_frame}: skin slips, or points err more than is stated. The strain energy lacks a part"
+            f"{misfits[0] + first_frame}: skin slips, or points err more than stated. The strain energy lacks some"
         )
 
 
@@ -325,5 +327,5 @@ def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float
     elif gauge_mm > _MOST_GAUGE * contact_mm:
         yield (
             f"fields.gauge_length_mm = {gauge_mm:g} is over a third of the width of the contact ({contact_mm:.2g} mm): "
-            f"fields are smoothed by more than is stated. Take {_MOST_GAUGE * contact_mm:.2g} mm or less"
+            f"fields are smoothed by more than their deviations state. Take {_MOST_GAUGE * contact_mm:.2g} mm or less"
         )
