@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Picture
-from fingerflow.tracker.faint_rim import RIM_MM
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
@@ -133,17 +132,6 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     rim, inner = touching[(depth > 0) & (depth <= 1)], touching[depth > 2]
     usual = _THIN - _SCATTER * period_px / np.sqrt(max(len(inner), 1))
     return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
-
-
-def check_sparse_ridges(border_mm: float, share: float) -> Iterator[str]:
-    """Yield a warning if ridges cover so small a `share` of the contact that its border is uncertain by
-    `border_mm`.
-    """
-    if border_mm >= RIM_MM:
-        yield (
-            f"ridges cover {share:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, and "
-            f"areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
-        )
 
 
 def check_background_lines(light: Picture) -> Iterator[str]:
