@@ -195,9 +195,8 @@ class ContactStage(Stage):
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
         self.warnings += view_faults.check_background_lines(light)
         if region.any():
-            searched, drawn = self._light[0][0, 0], self._view.region is not None
             radius_px = self.inputs.scene.contact.gross_radius_px
-            self.warnings += view_faults.check_unlit_glass(region, searched, radius_px, drawn)
+            self.warnings += view_faults.check_unlit_glass(region, self._light[0][0, 0], radius_px)
             if np.isfinite(self._period_px):
                 counts, gain = self.inputs.counts(frame, self._view), float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)

@@ -30,18 +30,16 @@ _BETTER = 0.5  # ratio of the residuals with and without the shift, below which 
 _UNEVEN = 0.05  # least relative change of light that is reported
 
 
-def check_unlit_glass(region: Mask, light: Picture, radius_px: int, drawn: bool) -> Iterator[str]:
+def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> Iterator[str]:
     """Yield a warning if the contact region reaches glass without light, where its border is not that of the skin; the
-    `light` is 0 outside of views.contact.region too if that is `drawn`.
+    `light` is 0 outside of views.contact.region too.
     """
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
     unlit = float((light[around] <= 0).mean()) if around.any() else 0.0
     if unlit > _UNLIT_BORDER:
         yield (
-            f"the contact reaches glass without light{' or the border of views.contact.region' * drawn} along "
-            f"{unlit:.0%} of its border: areas, ellipse and medians are those of the lit part alone. "
-            f"{'Draw the region around the contact, light' if drawn else 'Light'} the whole contact, or press in the "
-            f"middle of the light"
+            f"the contact reaches glass without light or the border of views.contact.region along {unlit:.0%} of its "
+            f"border: results are of the part inside. Light the whole contact, and draw the region around it"
         )
 
 

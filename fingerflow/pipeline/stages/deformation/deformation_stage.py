@@ -163,7 +163,7 @@ class DeformationStage(Stage):
         if "rigid_residual" in self.trial.requested:
             self.results.create("rigid_residual")
         widest = 2 * float(np.fmax.reduce(self.border.semi_axes[:, 1]))
-        self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest)
+        self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = self.common_position if self.by_onsets else self.reference
         self._deformation = Deformation(self._engine, positions)
