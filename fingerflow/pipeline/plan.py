@@ -17,11 +17,8 @@ VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()
 #: Names of all outputs that may be requested, sorted.
 OUTPUTS = tuple(sorted(VARIABLES))
 _REMEDIES = {
-    "forces": "needs forces, and the scene has no [forces] table",
-    "forces.tangential": "needs a tangential force, and the scene names no channel in [forces] tangential",
     "dense_flow_slip": 'comes by dense flow, and the scene does not set [slip] displacement = "dense_flow"',
     "undistorted": "is not corrected for the lens that [calibration] intrinsics states",
-    "views.topography": "follows the skin in the topographic view, and the scene has no [views.topography] table",
 }
 
 

@@ -195,15 +195,13 @@ class ContactStage(Stage):
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
         self.warnings += view_faults.check_background_lines(light)
         if region.any():
-            searched, drawn = self._light[0][0, 0], self._view.region is not None
             radius_px = self.inputs.scene.contact.gross_radius_px
-            self.warnings += view_faults.check_unlit_glass(region, searched, radius_px, drawn)
+            self.warnings += view_faults.check_unlit_glass(region, self._light[0][0, 0], radius_px)
             if np.isfinite(self._period_px):
-                picture = self._counts(self.reference_frame)[0] - self._black
-                gain = float(contact.illumination_gain[0])
+                counts, gain = self.inputs.counts(frame, self._view), float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                shadow = [*view_faults.check_shadow(picture / lit, away, self._period_px)]
-                self.warnings += shadow or self._check_rim(frame, contact)
+                shadow = [*view_faults.check_shadow((counts[0] - self._black) / lit, away, self._period_px)]
+                self.warnings += shadow or self._check_rim(counts, contact)
                 if contact.real_contact_mask is not None:
                     self.warnings += view_faults.check_sweat(contact.real_contact_mask[0, 0], self._period_px)
         usable = np.flatnonzero(self.usable)
@@ -213,20 +211,17 @@ class ContactStage(Stage):
         )
         self.warnings += view_faults.check_moved_glass(pictures, light, away)
 
-    def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> Iterable[str]:
-        """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
-        counts = self.inputs.counts(frame, self._view)
+    def _check_rim(self, counts: Array, contact: FrameContact) -> Iterable[str]:
+        """Measure the faint rim of the `contact` in a picture, and return a warning if there is one."""
         lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
         gross, whole = (float(self._on_glass.sizes(seen).gross[0]) for seen in (contact, lower))
         self._pale_rim_mm = pale_rim_mm(gross, whole)
         mask = contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px)
         rim = max(self._pale_rim_mm, thin)
-        sparse = sparse_border_mm(contact.real_area_px, contact.gross_area_px)
-        self.faint_rim_mm = max(rim, sparse)
+        self.faint_rim_mm = max(rim, sparse_border_mm(contact.real_area_px, contact.gross_area_px))
         radius = self.inputs.scene.contact.gross_radius_px
-        faint = [*check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
-        return faint or view_faults.check_sparse_ridges(sparse, contact.real_area_px[0] / contact.gross_area_px[0])
+        return check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
 
     def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: NDArray[np.float64]) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""

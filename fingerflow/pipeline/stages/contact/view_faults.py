@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Picture
-from fingerflow.tracker.faint_rim import RIM_MM
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
@@ -31,18 +30,16 @@ _BETTER = 0.5  # ratio of the residuals with and without the shift, below which 
 _UNEVEN = 0.05  # least relative change of light that is reported
 
 
-def check_unlit_glass(region: Mask, light: Picture, radius_px: int, drawn: bool) -> Iterator[str]:
+def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> Iterator[str]:
     """Yield a warning if the contact region reaches glass without light, where its border is not that of the skin; the
-    `light` is 0 outside of views.contact.region too if that is `drawn`.
+    `light` is 0 outside of views.contact.region too.
     """
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
     unlit = (light[around] <= 0).mean() if around.any() else 0.0
     if unlit > _UNLIT_BORDER:
         yield (
-            f"the contact reaches glass without light{' or the border of views.contact.region' * drawn} along "
-            f"{unlit:.0%} of its border: areas, ellipse and medians are those of the lit part alone. "
-            f"{'Draw the region around the contact, light' if drawn else 'Light'} the whole contact, or press in the "
-            f"middle of the light"
+            f"the contact reaches glass without light or the border of views.contact.region along {unlit:.0%} of its "
+            f"border: results are of the part inside. Light the whole contact, and draw the region around it"
         )
 
 
@@ -133,17 +130,6 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     rim, inner = touching[(depth > 0) & (depth <= 1)], touching[depth > 2]
     usual = _THIN - _SCATTER * period_px / np.sqrt(max(len(inner), 1))
     return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
-
-
-def check_sparse_ridges(border_mm: float, share: float) -> Iterator[str]:
-    """Yield a warning if ridges cover so small a `share` of the contact that its border is uncertain by
-    `border_mm`.
-    """
-    if border_mm >= RIM_MM:
-        yield (
-            f"ridges cover {share:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, and "
-            f"areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
-        )
 
 
 def check_background_lines(light: Picture) -> Iterator[str]:

@@ -164,7 +164,7 @@ class DeformationStage(Stage):
         for name in {"rigid_residual", "rigid_residual_std"} & self.trial.requested:
             self.results.create(name)
         widest = 2 * float(np.fmax.reduce(self.border.semi_axes[:, 1]))
-        self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest)
+        self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = self.common_position if self.by_onsets else self.reference
         self._deformation = Deformation(self._engine, positions)
@@ -234,9 +234,12 @@ class DeformationStage(Stage):
         self.series |= {"global_displacement": length, "global_displacement_std": length_std}
         for name in ("global_displacement_vector", "global_displacement", "printed_global_displacement"):
             self.about[name] = self.attributes
-        # While a contact is too small for twice the gauge length, that of the first frame in which it is large enough.
-        first = np.take_along_axis(self._bias, np.isfinite(self._bias).argmax(0)[None], axis=0)
-        median_std = np.sqrt(self._variance + np.where(np.isnan(self._bias), first, self._bias))
+        # Interpolated between the frames in which it was evaluated, as skin and contact change slowly.
+        changed, frames = (np.diff(self._bias, axis=0, prepend=np.nan) != 0).any(1), np.arange(len(self.trial))
+        evaluated = np.flatnonzero(changed & np.isfinite(self._bias).all(1))
+        if len(evaluated):
+            self._bias = np.stack([np.interp(frames, evaluated, part) for part in self._bias[evaluated].T], axis=1)
+        median_std = np.sqrt(self._variance + self._bias)
         times, window = self.inputs.times, self._settings.rate_window_s
         rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
         if np.isnan(rates).all() > np.isnan(self._median).all():

@@ -14,7 +14,6 @@ _IMPULSES = 5e-4
 # Shares of the requested points found, and of the points tracked, below which a warning is given.
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5
 _UNSEEDED = 0.05  # share of the contact far from the region of seeding, above which a warning is given
-_POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
 # Most gauge length in widths of the contact: medians on a print were wrong by 3 to 4 deviations at 0.41, by 1 at 0.2.
 _MOST_GAUGE = 1 / 3
 # Plausible values for fingertips, with a margin for every hand and laboratory.
@@ -295,7 +294,7 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
             f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
             f"{unknown[0] + first_frame}, and in part the strain energy: fields are known in {share:.0%} of the "
             f"contact, not in {LEAST_SHARE:.0%} (field_coverage). Points are lost (status), or none were seeded there: "
-            f"see [views.topography] and its region, [stream] region, and tracking.points"
+            f"see [views.topography] and its region, [stream] region, tracking.points and fields.gauge_length_mm"
         )
 
 
@@ -311,20 +310,9 @@ def check_energy(gross: Series, misfit: Mask, gauge_mm: float, first_frame: int)
         )
 
 
-def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> Iterator[str]:
-    """Yield warnings if the gauge length is too short for the point spacing or large beside the width of the contact.
-
-    `points` (N, 2) mm are positions at first contact, NaN for points never in contact; `contact_mm` is the least
-    diameter of the largest contact.
-    """
-    touching = points[np.isfinite(points).all(1)]
-    spread = np.sqrt(np.prod(np.ptp(touching, axis=0)) / len(touching)) if len(touching) else np.nan
-    if gauge_mm < _POINTS_IN_GAUGE * spread:
-        yield (
-            f"fields.gauge_length_mm = {gauge_mm:g}, and {len(touching)} points lie some {spread:.2g} mm apart: a "
-            f"gradient has few neighbours or none. Take {_POINTS_IN_GAUGE * spread:.2g} mm or more, or more points"
-        )
-    elif gauge_mm > _MOST_GAUGE * contact_mm:
+def check_gauge(gauge_mm: float, contact_mm: float) -> Iterator[str]:
+    """Yield a warning if the gauge length is large beside the least diameter `contact_mm` of the largest contact."""
+    if gauge_mm > _MOST_GAUGE * contact_mm:
         yield (
             f"fields.gauge_length_mm = {gauge_mm:g} is over a third of the width of the contact ({contact_mm:.2g} mm): "
             f"fields are smoothed by more than their deviations state. Take {_MOST_GAUGE * contact_mm:.2g} mm or less"

@@ -65,12 +65,9 @@ class CountedSkin:
         self.corners = np.concatenate([plain, len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)])
         self.since = np.concatenate([stage.begins, since])
         self._since = since
-
-        def then(name: str) -> NDArray[np.float64]:
-            return select_frames(results[name], since, self._points)
-
-        self._then = then("position")
-        self._variance = (then("position_noise_px") * stage.mm_per_px) ** 2
+        self._then = select_frames(self._position, since, self._points)
+        noise_px = select_frames(results["position_noise_px"], since, self._points)
+        self._variance = (noise_px * stage.mm_per_px) ** 2
         self.reference = np.concatenate([reference, self._then])
         self.positions_px = stage.inputs.geometry.on_topography(self.reference)
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
