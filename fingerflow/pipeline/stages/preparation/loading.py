@@ -49,8 +49,8 @@ class LoadingStage(Stage):
         )
         if forces.trigger in names:
             raise FingerflowError(
-                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
-                "channel of the camera's trigger, or leave trigger out where both clocks begin together"
+                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name that of the "
+                "camera's trigger, or leave it out where both clocks begin together"
             )
         if settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
@@ -116,8 +116,7 @@ class LoadingStage(Stage):
         elif of_frames.size and lowest < limit < of_frames.min():
             self.warnings.append(
                 f"{file}: the normal force falls to {lowest:.2g} N, but not below {of_frames.min():.2g} N in the "
-                "frames that count: they begin in contact. Lower recording.first_frame, or check "
-                "recording.trigger_frame and forces.trigger_level"
+                "frames that count: they begin in contact. Lower recording.first_frame, or check the trigger"
             )
 
 
