@@ -49,8 +49,8 @@ class LoadingStage(Stage):
         )
         if forces.trigger in names:
             raise FingerflowError(
-                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name that of the "
-                "camera's trigger, or leave it out where both clocks begin together"
+                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
+                "channel of the camera's trigger, or leave trigger out where both clocks begin together"
             )
         if settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
