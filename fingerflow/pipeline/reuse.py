@@ -126,11 +126,10 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 
     Raises FingerflowError where the result is of another recording, or of other frames of it.
     """
-    if "recording" in earlier.attrs and (now := identity_of(inputs.recording)) != earlier.attrs["recording"]:
+    if "recording" in earlier.attrs and identity_of(inputs.recording) != earlier.attrs["recording"]:
         raise FingerflowError(
-            f"{path} is of another recording than {inputs.recording.path}, or of other frames of it: it has "
-            f"{earlier.attrs['recording']}, the scene {inputs.scene.path} {now}. Name the result of this scene, or "
-            f"compute it again without --from"
+            f"{path} is of another recording than {inputs.recording.path}, or of other frames. Name the result of "
+            f"{inputs.scene.path}, or compute it again without --from"
         )
     earlier_stages: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
     older = f"{path} was written by an older version, which does not say what its stages depend on"

@@ -7,7 +7,7 @@ from fingerflow.ops.contact.otsu import otsu_threshold
 from fingerflow.ops.filters import illumination
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.schema.variables import PRINTED_CONTACT
 
 _MEDIAN_PX = 9
@@ -33,13 +33,9 @@ class PrintedContactStage(Stage):
     reads_frames = True
     settings = ("contact.appears", "views.contact", "background", "calibration.mm_per_px")
 
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
-        self._view = self.inputs.scene.views.contact
-
     def begin(self) -> None:
-        self._reference = self.inputs.reference(self._view)
-        self._dark = self.inputs.dark(self._view)
+        view = self.inputs.scene.views.contact
+        self._reference, self._dark = self.inputs.reference(view), self.inputs.dark(view)
         self._touches = self.results["real_contact_area"][:] > 0
         self._first = self._normalized(self.inputs.recording[[int(np.argmax(self._touches))]].read())
 

@@ -285,7 +285,6 @@ class DeformationStage(Stage):
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
-        self.reference[self._inside] = np.nan
         self.reference[~touched] = np.nan
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
@@ -300,8 +299,7 @@ class DeformationStage(Stage):
         if unknown.any():
             self.warnings.append(
                 f"{int(unknown.sum())} of the {int(touching.sum())} points that come into contact are not known in "
-                f"fields.reference, frame {self.attributes['reference_frame']}: their displacement and what follows "
-                f"from it is NaN (field_coverage says in how much of the contact something is known)"
+                f"fields.reference, frame {self.attributes['reference_frame']}: their displacement is NaN"
             )
 
     def _since_touch(self, touch: Touches, skin: SkinFrames) -> tuple[Points, NDArray[np.float32]]:

@@ -161,8 +161,7 @@ def read_frames(part: Recording) -> Array:
         return part.mapped()
     except OSError as error:  # reported here: `written_atomically` would report it as an error of the output file
         raise FingerflowError(
-            f"{part.path}: frames cannot be read ({error.strerror or error}); copy the recording again, or to a local "
-            f"disk"
+            f"{part.path}: frames cannot be read ({error.strerror or error}); copy the recording to a local disk"
         ) from error
 
 

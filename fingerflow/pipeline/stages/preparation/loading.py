@@ -116,8 +116,7 @@ class LoadingStage(Stage):
         elif of_frames.size and lowest < limit < of_frames.min():
             self.warnings.append(
                 f"{file}: the normal force falls to {lowest:.2g} N, but not below {of_frames.min():.2g} N in the "
-                "frames that count: they begin in contact. Lower recording.first_frame, or check "
-                "recording.trigger_frame and forces.trigger_level"
+                "frames that count: they begin in contact. Lower recording.first_frame, or check the trigger"
             )
 
 

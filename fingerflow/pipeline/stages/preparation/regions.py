@@ -38,7 +38,6 @@ def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
         mask = picture > 0
     if not mask.any():
         raise FingerflowError(
-            f"{key} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px; its px are counted from the "
-            f"view's own corner"
+            f"{key} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px, counted from its own corner"
         )
     return mask

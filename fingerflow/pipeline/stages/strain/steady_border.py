@@ -25,24 +25,18 @@ def steady_border(border: FrameEllipse, times: Series) -> FrameEllipse:
     Centres and second moments of the ellipses are weighted by exp(-d^2 / 2), where d is the distance by which centre
     and mean radius differ from those of the frame.
     """
-    cosine, sine = np.cos(border.angle), np.sin(border.angle)
     major, minor = (border.semi_axes**2).T
-    moments = np.column_stack(
-        (
-            *border.center.T,
-            np.sqrt(border.semi_axes.prod(1)),
-            major * cosine**2 + minor * sine**2,
-            major * sine**2 + minor * cosine**2,
-            (major - minor) * cosine * sine,
-        )
-    )
-    fitted, scatter = _fit_over_time(moments, moments[:, :3] / _NEAR_MM, times / _SECONDS)
-    fitted = np.where(scatter[:, 2:3] > _ROUGH_MM, moments, fitted)
-    xx, yy, xy = fitted[:, 3:].T
-    middle, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    radius, half, turn = np.sqrt(border.semi_axes.prod(1)), (major - minor) / 2, 2 * border.angle
+    moments = (major + minor) / 2, half * np.cos(turn), half * np.sin(turn)
+    measured = np.column_stack((border.center, radius, *moments))
+    fitted, scatter = _fit_over_time(measured, measured[:, :3] / _NEAR_MM, times / _SECONDS)
+    fitted = np.where(scatter[:, 2:3] > _ROUGH_MM, measured, fitted)
+    middle, along_x, along_diagonal = fitted[:, 3:].T
+    half = np.hypot(along_x, along_diagonal)
     positive = (middle > half)[:, None]
     axes = np.sqrt(np.where(positive, np.stack((middle + half, middle - half), axis=1), border.semi_axes**2))
-    return FrameEllipse(fitted[:, :2], axes, np.where(positive[:, 0], np.arctan2(2 * xy, xx - yy) / 2, border.angle))
+    angle = np.where(positive[:, 0], np.arctan2(along_diagonal, along_x) / 2, border.angle)
+    return FrameEllipse(fitted[:, :2], axes, angle)
 
 
 def _fit_over_time(values: Series, positions: Series, times: Series) -> tuple[Series, Series]:

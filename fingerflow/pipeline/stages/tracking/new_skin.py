@@ -35,12 +35,13 @@ class NewSkin:
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
         self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 
-    def begin(self, contact: Array, positions: Points) -> None:
-        """Store the `positions` (N, 2), px of the topographic view, at which the first points were seeded, as
-        those before the first call of `region`.
+    def begin(self, region: Mask, contact: Array, positions: Points) -> None:
+        """Store the `region` (h, w) and the `positions` (N, 2), px of the topographic view, in which the first points
+        were seeded; these are the positions before the first call of `region`.
 
         `contact` has cells as for `region`. Fast points have moved far by the first call of `region`.
         """
+        self.searched.append(region)
         touching = contact[::_STEP, ::_STEP] > 0
         if touching.any():
             self._before = self._on_contact(positions), self._middle(touching)

@@ -75,7 +75,7 @@ class TrackingStage(Stage):
         # For each set of points: indices (A,) of earlier points that guide it.
         self._around: list[Numbers] = []
         self._density = 0.0  # points per px of the first seeding region
-        self._new_skin: NewSkin | None = None
+        self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
         self._full = False  # True if no more points may be seeded
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
         self._held = np.full(len(trial), np.nan)
@@ -188,11 +188,6 @@ class TrackingStage(Stage):
         image, where, requested = images[:1], self._seeding_region(margin), self._settings.points
         points = self._detect(image, where, requested)
         if len(points) < _FEWEST:
-            # The frame with the largest contact may be later, and show it elsewhere than this frame.
-            self._region = self.trial.stage(ContactStage).touched()
-            where = self._seeding_region(margin)
-            points = self._detect(image, where, requested)
-        if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
                 f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
@@ -204,9 +199,7 @@ class TrackingStage(Stage):
         self.warnings += plausibility.check_impulses(self._impulses(image))
         self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
-        self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
-        self._new_skin.searched.append(where)
-        self._new_skin.begin(margin, points)
+        self._new_skin.begin(where, margin, points)
         return self._start_tracking(images, points, None, np.zeros(0, np.intp))
 
     def _impulses(self, image: Images) -> float:
@@ -247,7 +240,6 @@ class TrackingStage(Stage):
         """
         if self._full:
             return None
-        assert self._new_skin is not None
         position = np.concatenate([group.expect(0) for group in self._seeded])
         start = np.concatenate([group.start for group in self._seeded])
         total, tracked = len(position), tracked_points.status[-1] == TrackStatus.TRACKED
