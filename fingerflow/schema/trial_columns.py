@@ -23,27 +23,26 @@ _LARGEST = "the largest of the trial"
 
 
 def _at_moments(
-    name: str, variable: str, definition: str, has_std: bool = False, largest: bool = False, label: str = ""
+    name: str, variable: str, definition: str, largest: bool = False, label: str = ""
 ) -> Iterator[Variable]:
     """Yield the columns of a quantity that the table of trials lists at several moments of a trial, one per moment; the
-    first has no suffix.
+    first has no suffix. A variable with a standard deviation gives columns of it, too.
 
     Args:
         name: of the column without a suffix.
         variable: of a result that has the same unit.
         definition: of the quantity.
-        has_std: whether it has a standard deviation.
         largest: whether the column without a suffix is the largest value of the trial, else the value at the maximum.
         label: on axes and in tables; "" for the name in words.
     """
-    source = VARIABLES[variable]
+    source, has_std = VARIABLES[variable], f"{variable}_std" in VARIABLES
 
     def column(name: str, definition: str, label: str = "") -> Variable:
         return Variable(name, _TRIAL, source.units, definition, shown_in=source.shown_in, of=(variable,), label=label)
 
     yield column(name, f"{definition}, {_LARGEST if largest else MOMENTS[AT_MAX]}", label)
     if has_std:
-        yield column(f"{name}_std", f"standard deviation of {name}, by the errors of the points")
+        yield column(f"{name}_std", f"standard deviation of {name}")
     for moment, when in MOMENTS.items():
         if moment == AT_MAX and not largest:
             continue
@@ -55,12 +54,12 @@ def _at_moments(
 _QUANTITIES = tuple(tuple(columns) for columns in (
     _at_moments("real_contact_area", "real_contact_area", "real contact area"),
     _at_moments("gross_contact_area", "gross_contact_area", "gross contact area"),
-    _at_moments("divergence", "median_divergence", "median divergence over the gross contact", has_std=True),
-    _at_moments("curl", "median_curl", "median curl over the gross contact", has_std=True),
+    _at_moments("divergence", "median_divergence", "median divergence over the gross contact"),
+    _at_moments("curl", "median_curl", "median curl over the gross contact"),
     _at_moments("strain", "median_strain", "median strain along the major axis that the gross contact has at its "
-                "maximum", has_std=True, label="longitudinal strain"),
-    _at_moments("strain_across", "median_strain", "median strain across that axis", has_std=True),
-    _at_moments("strain_energy", "strain_energy", "strain energy of the whole contact", has_std=True),
+                "maximum", label="longitudinal strain"),
+    _at_moments("strain_across", "median_strain", "median strain across that axis"),
+    _at_moments("strain_energy", "strain_energy", "strain energy of the whole contact"),
     _at_moments("divergence_rate", "median_divergence_rate", "rate of the median divergence", largest=True),
     _at_moments("strain_rate", "median_strain_rate", "rate of the strain along the major axis", largest=True),
     _at_moments("strain_energy_rate", "strain_energy_rate", "rate of the strain energy", largest=True),

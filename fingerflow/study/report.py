@@ -164,8 +164,9 @@ def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
                 "by": NUMBERS[metric].words if metric else "",
                 "page": f"{entry.name}/report.html" if (folder / "report.html").exists() and measured else "",
                 "thumbnail": f"{entry.name}/thumbnail.jpg" if (folder / "thumbnail.jpg").exists() and measured else "",
+                # With standard deviations, NaN where there is none.
                 "values": {
-                    name: NUMBERS[name].shown_values(values[name]) if np.isfinite(values[name]) else None
+                    name: NUMBERS[name].shown_values(values.reindex((name, f"{name}_std")).to_numpy(float))
                     for name in _SHOWN
                     if name in frame
                 },

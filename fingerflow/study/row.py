@@ -35,8 +35,8 @@ _SERIES = {
 }
 READ = (
     *_SERIES.values(), "frame_status", "normal_force", "tangential_force", "load_ratio", "actuator_position", "status",
-    "in_contact", "displacement", "stuck_ratio", "gross_contact_area_std", "ellipse_angle", "ellipse_semi_axes",
-    "median_strain", "median_strain_std", "median_strain_rate",
+    "in_contact", "displacement", "stuck_ratio", "ellipse_angle", "ellipse_semi_axes",
+    "median_strain", "median_strain_std", "median_strain_rate", "median_strain_rate_std",
 )  # fmt: skip
 _JUDGED = "stuck_ratio"  # variable that has the verdict on slip among its attributes
 #: Variables whose attributes `measure` reads.
@@ -73,8 +73,8 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, Curve]]:
                 for moment, value in trial.at_moments(trial.series[f"{name}{std}"]).items():
                     suffix = f"_{moment}" if f"{name}_{moment}" in NUMBERS else ""
                     numbers[f"{name}{suffix}{std}"] = value
-        if name in trial.series and f"{name}_{AT_MAX}" in NUMBERS:
-            numbers[name] = trial.largest(trial.series[name])
+                if f"{name}_{AT_MAX}" in NUMBERS:
+                    numbers[f"{name}{std}"] = trial.at_largest(trial.series[name], trial.series[f"{name}{std}"])
     curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series} | trial.share_curves()
     known = {name: curve for name, curve in curves.items() if np.isfinite(curve).any()}
     row |= {name: _finite(value) for name, value in numbers.items()}
@@ -138,15 +138,12 @@ class _Trial:
         if "median_strain" not in self._result:
             return {}
         angle = float(self._result["ellipse_angle"].values[self._top])
-        strain, deviation = self._values("median_strain"), self._values("median_strain_std")
         strains = {}
-        for name, turned in (("strain", angle), ("strain_across", angle + np.pi / 2)):
+        for name, turned in (("strain", angle), ("strain_across", angle + np.pi / 2), ("strain_rate", angle)):
             cosine, sine = np.cos(turned), np.sin(turned)
             weights = np.array([cosine**2, sine**2, 2 * cosine * sine])
-            strains[name] = strain @ weights
-            strains[f"{name}_std"] = np.sqrt(deviation**2 @ weights**2)
-            if name == "strain":
-                strains["strain_rate"] = self._values("median_strain_rate") @ weights
+            strains[name] = self._values(AT_MOMENTS[name]) @ weights
+            strains[f"{name}_std"] = np.sqrt(self._values(f"{AT_MOMENTS[name]}_std") ** 2 @ weights**2)
         return strains
 
     def at_moments(self, series: Series) -> dict[str, float]:
@@ -173,11 +170,12 @@ class _Trial:
             curves["stuck_ratio"] = _at(SHARE_GRID, ratio / load, stuck, frames)
         return curves
 
-    def largest(self, series: Series) -> float:
-        """Return the largest value of a time series of the trial between onset and end of contact; NaN if none is
-        known.
+    def at_largest(self, series: Series, values: Series) -> float:
+        """Return the value of `values` (F,) where a time series of the trial is largest between onset and end of
+        contact; NaN if it is not known there.
         """
-        return _largest(series[self._onset : self._last + 1])
+        contact = series[self._onset : self._last + 1]
+        return float(values[self._onset + np.nanargmax(contact)]) if np.isfinite(contact).any() else np.nan
 
     def numbers(self) -> dict[str, float]:
         """Return numbers that describe the trial as a whole, such as its duration and its largest force."""

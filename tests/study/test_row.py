@@ -35,7 +35,8 @@ def _result(**changed: np.ndarray) -> xr.Dataset:
         "normal_force": FORCE, "load_ratio": np.full(FRAMES, -0.3), "gross_contact_area": area,
         "real_contact_area": area / 2, "median_divergence": 0.01 * FORCE, "median_divergence_std": 0.001 * FORCE,
         "median_divergence_rate": np.full(FRAMES, 0.05), "ellipse_angle": np.full(FRAMES, ANGLE),
-        "global_displacement": 0.04 * TIME, "frame_status": np.zeros(FRAMES, np.uint8),
+        "global_displacement": 0.04 * TIME, "global_displacement_std": 0.01 * TIME,
+        "frame_status": np.zeros(FRAMES, np.uint8),
     }  # fmt: skip
     values |= changed
     data = {name: ("frame", one) for name, one in values.items()}
@@ -43,6 +44,7 @@ def _result(**changed: np.ndarray) -> xr.Dataset:
         "median_strain": (("frame", "strain_component"), strain),
         "median_strain_std": (("frame", "strain_component"), np.full((FRAMES, 3), 1e-4)),
         "median_strain_rate": (("frame", "strain_component"), rates),
+        "median_strain_rate_std": (("frame", "strain_component"), rates / 10),
         "ellipse_semi_axes": (("frame", "axis"), np.tile([3.0, 2.0], (FRAMES, 1))),
         "displacement": (("frame", "point", "xy"), moved),
         "in_contact": (("frame", "point"), covered),
@@ -69,6 +71,7 @@ def test_numbers_of_the_whole_trial() -> None:
     expected = {
         "max_force": 5.0, "time_to_max_force": 0.9, "duration": 0.9, "force_rate": 5.0, "divergence": 0.05,
         "divergence_at_onset": 0.005, "divergence_rate": 0.05, "global_displacement": 0.04,
+        "global_displacement_std": 0.01,
         "force_angle": np.arctan(0.3), "strain": 0.1, "strain_across": -0.05, "strain_rate": 0.1,
         "longest_axis_ratio": 1.5, "coverage": 2 / 3,
         # The 0.99 quantile of three points is the second one; the fourth never touches.
