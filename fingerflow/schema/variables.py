@@ -95,13 +95,15 @@ def _gross_area_std(semi_axes: Any, real_area: Any, gross_area: Any, threshold: 
     return deviation
 
 
-def _real_area_std(real_area: Any, threshold: Any) -> Any:
+def _real_area_std(real_area: Any, gross_area: Any, threshold: Any) -> Any:
     """Return the standard deviation, mm^2, of the real contact area (frames,), most of it shared by all frames.
 
     The edges of ridges are blurred, and the median takes their corners: measured on presses through real prints.
-    Before there is a threshold, a contact is too small to be told from noise.
+    Before there is a threshold, a contact is too small to be told from noise, and below 0.4 mm^2 of gross contact all
+    of it may be noise in dim light.
     """
-    return (0.025**2 * real_area ** (4 / 3) + 0.01**2 + 0.1**2 * (threshold != threshold)) ** 0.5
+    noise = 0.1**2 * (threshold != threshold) + real_area**2 * (gross_area < 0.4)
+    return (0.025**2 * real_area ** (4 / 3) + 0.01**2 + noise) ** 0.5
 
 
 def _ratio(part: Any, whole: Any) -> Any:
@@ -171,8 +173,9 @@ CONTACT = (
     Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
         equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px"),
     Variable("real_contact_area_std", FRAME, "mm2", "standard deviation of the real contact area, shared by frames",
-        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges; 0.1 mm² if unseen",
-        formula=_real_area_std, of=("real_contact_area", "contact_threshold")),
+        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges; 0.1 mm² if unseen, "
+        "all of the area below 0.4 mm² of gross contact; recorded (m − 3)² s²/0.45 mm² of it for a median of m px",
+        formula=_real_area_std, of=("real_contact_area", "gross_contact_area", "contact_threshold")),
     Variable("gross_contact_area", FRAME, "mm2",
         "apparent (gross) contact area, that of the region which the contact spans",
         equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),

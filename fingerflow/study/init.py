@@ -156,7 +156,7 @@ def _guessed(path: Path) -> dict[str, str]:
     guesses: dict[str, str] = {}
     for name, expression in _GUESSES.items():
         matches = expression.findall(text)
-        if matches:
+        if matches and (name == TRIAL or len({*matches}) == 1):  # of P03/S1 either may be the participant
             guesses[name] = re.sub("[,p]", ".", matches[-1])
     return guesses
 

@@ -2,11 +2,12 @@
 
 import errno
 import gc
+import logging
 import os
 import platform
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
@@ -105,25 +106,23 @@ def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
     return stored.result is None or has_result(folder, stored)
 
 
-def _is_transient(error: BaseException) -> bool:
+def _is_transient(error: BaseException | None) -> bool:
     """Return True if an error is transient, such as lack of memory, so that a second run of the trial may succeed."""
-    return any(
-        is_out_of_memory(link)
-        or isinstance(link, NoRoomError)
-        or (isinstance(link, OSError) and link.errno in _PASSING)
-        for link in _chain(error)
+    return error is not None and (
+        is_out_of_memory(error)
+        or isinstance(error, NoRoomError)
+        or (isinstance(error, OSError) and error.errno in _PASSING)
+        or _is_transient(error.__cause__ or error.__context__)
     )
-
-
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
 
 
 @cache
 def _set_up_worker(threads: int) -> None:
-    """Set the threads of a worker, and exempt loaded objects from garbage collection."""
+    """Set the threads of a worker, and exempt loaded objects from garbage collection.
+
+    Heartbeats of a worker that is closed meanwhile would print tracebacks, on a busy machine, below a complete run.
+    """
+    logging.getLogger("tornado.application").setLevel(logging.CRITICAL)
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     gc.collect()

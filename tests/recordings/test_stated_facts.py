@@ -37,11 +37,9 @@ READ = {
 REFUSED = {
     "German thousands": ("time (s);Fz (N)\n0,001;1.234\n0,002;1.235\n", "thousands"),
     "either": ("time (ms)\tFz (mN)\n0\t1,234\n1\t1,236\n", "'1,234' may be decimal or have a thousands mark"),
-    "either, with points": ("time (ms);Fz (mN)\n0;1.234\n1;12.365\n", "'1.234' may be decimal"),
     "decimal commas": (HEADING + "0,000,0,00\n0,001,0,10\n", "4 cells below 2 names .*semicolons"),
     "two decimal marks": ("t (s);Fz (N)\n0,001;0.01\n0,002;0.02\n", "'0,001' beside '0.01'.*with one decimal mark"),
     "time of day": (HEADING + "12:00:00.001,1\n12:00:00.002,1\n", "'12:00:00.001', a date or time of day"),
-    "time with hours": ("time (s)\tFz (N)\n1:02.5\t1\n1:02.6\t1\n", "a date or time of day"),
     "footer": (HEADING + LINES + "End of file\n", "'End of file' has 1 cells"),
     "empty": ("time (s),Fz (N),temp (V)\n0,1,2\n1,1,\n", "'temp' is empty"),
     "no number": (HEADING + "0,1\n1,#N/A\n", "'Fz' is '#N/A'"),

@@ -1,6 +1,7 @@
 """Tests of runs: computed, skipped and failed trials, and numbers that do not depend on the worker."""
 
 import json
+import logging
 import re
 import signal
 import sys
@@ -175,6 +176,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
         _, outcome = worker.run_trial((replace(study, trials=(entry,)), "everything"), codes, 1)
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
+    assert not logging.getLogger("tornado.application").isEnabledFor(logging.ERROR)  # of heartbeats after the end
 
 
 @pytest.mark.long

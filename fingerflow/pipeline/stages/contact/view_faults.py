@@ -81,7 +81,7 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
     areas = parts[1:, cv2.CC_STAT_AREA]
     if not len(areas) or areas.max() <= least_px:
         return
-    area, real = float(areas.max()), float(touching[labels == 1 + areas.argmax()].sum())
+    area, real = areas.max(), touching[labels == 1 + areas.argmax()].sum()
     if real >= DENSITY * area:
         yield (
             f"a second contact lies in the view, as of another finger or a knuckle: {real * pixel_mm2:.2g} mm² of "
@@ -98,7 +98,7 @@ def check_sweat(touching: Mask, period_px: float) -> Iterator[str]:
     `touching` is the real contact mask; `period_px` is the ridge period.
     """
     solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.55 * period_px)))
-    share = float(solid.sum() / max(touching.sum(), 1))
+    share = solid.sum() / max(touching.sum(), 1)
     if _SOLID < share < _ALL_SOLID:
         yield (
             f"{share:.0%} of the real contact lies in patches wider than a ridge: sweat or grease fills the valleys "
@@ -114,7 +114,7 @@ def check_shadow(share: Picture, away: Picture, period_px: float) -> Iterator[st
     (h, w) px is the distance from that region.
     """
     around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
-    left = float(np.median(around)) if len(around) else 1.0
+    left = np.median(around) if len(around) else 1.0
     if left < 1 - _SHADOW:
         yield (
             f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow of the finger lies there and "
@@ -129,7 +129,7 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     depth = cv2.distanceTransform(region.astype(np.uint8), cv2.DIST_L2, 5) / period_px
     rim, inner = touching[(depth > 0) & (depth <= 1)], touching[depth > 2]
     usual = _THIN - _SCATTER * period_px / np.sqrt(max(len(inner), 1))
-    return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
+    return _THIN_MM * np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1) if inner.any() else 0.0
 
 
 def check_background_lines(light: Picture) -> Iterator[str]:
@@ -146,7 +146,7 @@ def check_background_lines(light: Picture) -> Iterator[str]:
     # The median step is above _STEP if more than half of the steps are.
     torn = (count > 0.25 * bright.shape[1]) & (2 * np.count_nonzero(lit & step, 1) > count)
     if torn.any():
-        row = int(np.argmax(torn)) + 1
+        row = np.argmax(torn) + 1
         yield (
             f"lines of the background differ in light from the lines beside them, from row {row} of the contact view "
             f"on: a picture is torn, and no contact is seen there. Record the empty glass again"
@@ -222,7 +222,7 @@ def _shift_of_glass(seen: Picture, light: Picture, y: Numbers, x: Numbers) -> tu
         shifted = lines[(y + _REACH_PX - k) * light.shape[1] + x - _REACH_PX]
         gain = seen @ shifted / np.maximum(np.einsum("nk,nk->k", shifted, shifted), 1e-9)
         residual[k] = (even @ np.abs(seen[:, None] - gain * shifted))[::-1]
-    down, right = np.unravel_index(int(residual.argmin()), residual.shape)
+    down, right = np.unravel_index(residual.argmin(), residual.shape)
     least = residual[down, right] / max(residual[_REACH_PX, _REACH_PX], 1e-9)
     return (int(right) - _REACH_PX, int(down) - _REACH_PX), float(least)
 

@@ -222,7 +222,7 @@ def check_areas(real: Series, gross: Series, radius_px: int, first_frame: int) -
         )
 
 
-def check_points(seeded: int, requested: int, min_distance_px: float, region_px: int) -> Iterator[str]:
+def check_points(seeded: int, requested: int, min_distance_px: float, region_px: float) -> Iterator[str]:
     """Yield a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
     if seeded >= _FEW_FOUND * requested:
         return

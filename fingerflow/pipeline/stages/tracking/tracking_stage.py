@@ -193,8 +193,7 @@ class TrackingStage(Stage):
                 f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
                 f"its region, [stream] region, tracking.min_distance_px, the calibration and the focus."
             )
-        min_distance = self._settings.min_distance_px
-        self.warnings += plausibility.check_points(len(points), requested, min_distance, int(where.sum()))
+        self.warnings += plausibility.check_points(len(points), requested, self._settings.min_distance_px, where.sum())
         self.warnings += plausibility.check_seeded_region(self._outside(where, margin))
         self.warnings += plausibility.check_impulses(self._impulses(image))
         self._create(len(points), noise_of(self._engine, image))
@@ -207,8 +206,8 @@ class TrackingStage(Stage):
         texture or noise can cause (impulse noise).
         """
         pixels = np.asarray(image, dtype=np.float32)[0, 0]
-        least = max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * noise_of(self._engine, image))
-        return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
+        least = max(_IMPULSE * np.ptp(pixels), _BEYOND_NOISE * noise_of(self._engine, image))
+        return (np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean()
 
     def _start_tracking(
         self, images: Images, points: Array, others: TrackedPoints | None, near: Numbers, *more: Any
@@ -256,7 +255,7 @@ class TrackingStage(Stage):
             begin, motion = len(images) - 1, _motion(self._seeded)
         if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
             region &= drawn
-        count = min(round(self._density * float(region.sum())), MOST_SEEDED * self._settings.points - total)
+        count = min(round(self._density * region.sum()), MOST_SEEDED * self._settings.points - total)
         if count < 1:
             return None
         points = self._detect(images[begin : begin + 1], region, count)
@@ -338,7 +337,7 @@ class TrackingStage(Stage):
         reach = 4 * self._settings.window_px + 1
         contact = self._touching(margin) if (margin > 0).any() else self._on_topography(self._region)
         near = cv2.dilate(seeded.astype(np.uint8), np.ones((reach, reach)))
-        return float((contact & (near == 0)).sum() / max(contact.sum(), 1))
+        return (contact & (near == 0)).sum() / max(contact.sum(), 1)
 
 
 def _motion(groups: Sequence[Points]) -> PointMotion:
