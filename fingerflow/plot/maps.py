@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -13,6 +14,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
 from fingerflow.plot.wording import frame_text
@@ -61,15 +63,11 @@ class Quantity:
         return np.asarray(VARIABLES[self.variable].shown_values(values), dtype=np.float64)
 
 
-def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Return the principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major strain, rad.
-
-    They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle). The direction is
-    measured from x towards y.
+def principal(frame: xr.Dataset) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the principal strains (M, 2) of M triangles of a frame, major first, and the direction (M,) of the
+    major strain, rad, from x towards y.
     """
-    exx, eyy, exy = frame["strain"].values.astype(np.float64).T
-    middle, radius = (exx + eyy) / 2, np.hypot((exx - eyy) / 2, exy)
-    return np.stack((middle + radius, middle - radius), 1), np.arctan2(2 * exy, exx - eyy) / 2
+    return principal_strains(torch.from_numpy(frame["strain"].values.astype(np.float64)))
 
 
 def _component(variable: str, number: int, frame: xr.Dataset) -> Values:
@@ -87,8 +85,8 @@ QUANTITIES: dict[str, Quantity] = {
     "decorrelation": Quantity(
         "Loss of subset correlation", "subset_correlation", lambda frame: 1 - frame["subset_correlation"].values, False
     ),
-    "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
-    "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
+    "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0].numpy()),
+    "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1].numpy()),
     **{
         f"{component}{suffix}": Quantity(f"{words} {component}", variable, partial(_component, variable, k))
         for variable, suffix, words in (("strain", "", "Strain"), ("strain_rate", "_rate", "Strain rate"))
@@ -239,7 +237,7 @@ def _directions(
     from those in the mask `shown`; `corners` holds the point indices of all triangles.
     """
     middle = frame["position"].values[corners].mean(1)
-    angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
+    angle = principal(frame)[1].numpy() + (np.pi / 2 if minor else 0)
     chosen = np.flatnonzero(shown)
     chosen = chosen[_select_spread(middle[chosen], _DIRECTIONS)]
     spacing = float(np.sqrt(np.prod(np.maximum(np.ptp(middle[chosen], axis=0), 0.1)) / max(len(chosen), 1)))
