@@ -153,8 +153,7 @@ class Stage:
             if variable.name in earlier and self.trial.stores(variable):
                 values = earlier[variable.name]
                 sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
-                attributes = {str(name): value for name, value in values.attrs.items()}
-                stated = {name: value for name, value in attributes.items() if not name.startswith("flag_")}
+                stated = {name: value for name, value in values.attrs.items() if not name.startswith("flag_")}
                 stored = self.results.create(variable.name, stated, **sizes)
                 for first in range(0, stored.shape[0], FRAMES_READ):
                     stored[first : first + FRAMES_READ] = values[first : first + FRAMES_READ].values

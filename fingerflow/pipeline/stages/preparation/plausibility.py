@@ -155,26 +155,23 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     nothing = measured & (area == 0)
     least, share = _FORCE_OF_NOTHING
     pressing = nothing & (np.abs(force) > max(least, share * peak))
-    cause = (
-        "force and pictures are not of the same moments, or the sensor has another zero. Check recording.trigger_frame "
-        "and forces.trigger_level, recording.frame_rate, and forces.offset or tare"
-    )
-    if pressing.any():
-        frame = np.argmax(np.where(pressing, np.abs(force), 0))
-        yield (
-            f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
-            f"{int(pressing.sum())} frames): {cause}"
-        )
-        return
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
     light = measured & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
     unloaded = np.where(light, area, 0.0)
-    frame = np.argmax(unloaded)
-    if peak >= 10 * noise and unloaded[frame] > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
-        yield (
-            f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the "
-            f"normal force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
-        )
+    if pressing.any():
+        frame = np.argmax(np.where(pressing, np.abs(force), 0))
+        number, many = frame + first_frame, int(pressing.sum())
+        what = f"normal force is {force[frame]:.2g} N in frame {number}, where nothing touches (in {many} frames)"
+    elif peak >= 10 * noise and unloaded.max() > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
+        frame = np.argmax(unloaded)
+        where = f"in frame {frame + first_frame}, where the normal force is {force[frame]:.2g} of {peak:.2g} N"
+        what = f"contact has {area[frame]:.2g} of its {largest:.2g} mm² {where}"
+    else:
+        return
+    yield (
+        f"the {what}: force and pictures are not of the same moments, or the sensor has another zero. Check "
+        f"recording.trigger_frame and forces.trigger_level, recording.frame_rate, and forces.offset or tare"
+    )
 
 
 def check_growth(normal: Series, gross: Series) -> Iterator[str]:
