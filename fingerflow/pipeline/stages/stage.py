@@ -32,12 +32,11 @@ class Batch:
     """
 
     indices: NDArray[np.intp]
-    frames: NDArray[np.generic] | None = None
+    frames: Any = None
     steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def images(self, inputs: Inputs, view: View) -> Images:
         """Return the images of a view as the engine of the inputs takes them."""
-        assert self.frames is not None
         return inputs.engine.images(inputs.counts(self.frames, view))
 
 
