@@ -124,8 +124,7 @@ class ContactStage(Stage):
                 f"covers the glass that would show how the light has changed. Leave some glass free, or record it again"
             )
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
-        radius = self.inputs.scene.contact.gross_radius_px
-        self.warnings += plausibility.check_areas(real, gross, radius, self.first_frame)
+        self.warnings += plausibility.check_areas(real, gross, self._engine.settings.gross_radius_px, self.first_frame)
         self.warnings += area_steps.check_light_steps(gross, area, self.first_frame)
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:

@@ -73,10 +73,9 @@ class StrainStage(Stage):
         self.warnings += plausibility.check_young_modulus(self._settings.young_modulus_mpa)
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
-        triangles = skin.triangles
         self._since = moved.attributes
         measure = {"measure": self._settings.strain} | self._since
-        self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
+        self.results.put("triangles", skin.triangles, triangle=len(skin.triangles), corner=3)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
         density = "strain_energy_density", "strain_energy_density_std"
         for name in ("strain", "strain_std", *density, *sorted(self._principal)):

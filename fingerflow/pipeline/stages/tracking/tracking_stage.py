@@ -273,9 +273,8 @@ class TrackingStage(Stage):
         room for the results.
         """
         variables = filter(self.trial.stores, chain.from_iterable(stage.gives for stage in self.trial.planned))
-        why = ""
-        if points + more == MOST_SEEDED * self._settings.points:
-            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
+        most = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
+        why = most if points + more == MOST_SEEDED * self._settings.points else ""
         try:
             self.results.check_room(size_of_results(variables, len(self.trial), more))
         except NoRoomError as error:
