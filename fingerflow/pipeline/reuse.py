@@ -132,8 +132,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
             f"{inputs.scene.path}, or compute it again without --from"
         )
     earlier_stages: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
-    older = f"{path} was written by an older version, which does not say what its stages depend on"
-    whole = "" if earlier_stages else older
+    whole = "" if earlier_stages else f"{path} of an older version does not say what its stages depend on"
     computed: dict[type[Stage], str] = {}
     for stage in plan.stages:
         if why := whole or _reason_to_compute(stage, plan, keys[stage], earlier_stages.get(stage.name), computed):

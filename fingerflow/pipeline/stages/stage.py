@@ -32,12 +32,11 @@ class Batch:
     """
 
     indices: NDArray[np.intp]
-    frames: NDArray[np.generic] | None = None
+    frames: Any = None
     steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def images(self, inputs: Inputs, view: View) -> Images:
         """Return the images of a view as the engine of the inputs takes them."""
-        assert self.frames is not None
         return inputs.engine.images(inputs.counts(self.frames, view))
 
 
@@ -153,8 +152,7 @@ class Stage:
             if variable.name in earlier and self.trial.stores(variable):
                 values = earlier[variable.name]
                 sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
-                attributes = {str(name): value for name, value in values.attrs.items()}
-                stated = {name: value for name, value in attributes.items() if not name.startswith("flag_")}
+                stated = {name: value for name, value in values.attrs.items() if not name.startswith("flag_")}
                 stored = self.results.create(variable.name, stated, **sizes)
                 for first in range(0, stored.shape[0], FRAMES_READ):
                     stored[first : first + FRAMES_READ] = values[first : first + FRAMES_READ].values

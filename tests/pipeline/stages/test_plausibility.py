@@ -57,7 +57,7 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     # An unusable frame between two frames does not hide a jump.
     (jump,) = area_steps.check_light_steps(np.array([3.0, np.nan, 60, 61]), 100.0, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
-    (lost,) = plausibility.check_tracking(np.array([1, 0.4, 0.1]), *np.zeros((2, 3)), 5)
+    (lost,) = plausibility.check_tracking(np.array([1, 0.4, 0.1]), np.zeros(3), 5)
     assert "in 2 frames, the first is 6 (40%)" in lost
 
 

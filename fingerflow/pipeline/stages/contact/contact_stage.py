@@ -52,8 +52,7 @@ class ContactStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (
-        *("kind", "contact", "views.contact", "background", "recording.first_frame"),
-        *SCALE_KEYS,
+        *("kind", "contact", "views.contact", "background", "recording.first_frame", *SCALE_KEYS),
     )
 
     def __init__(self, trial: RunContext) -> None:
@@ -78,12 +77,13 @@ class ContactStage(Stage):
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self.usable))
-        faults = [*plausibility.check_background(*self._changed(first), first + self.first_frame)]
+        at_first = self._changed(first)
+        background = [*plausibility.check_background(*at_first, first + self.first_frame)]
         self.reference_frame, self.moment = self._most_contact()
         changed, appears = self._changed(self.reference_frame), self.inputs.scene.contact.appears
-        faults += plausibility.check_contrast(*changed, appears, self.moment)
-        self.warnings += faults
-        self._threshold = self._fixed_threshold(faults)
+        contrast = [*plausibility.check_contrast(*changed, appears, self.moment)]
+        self.warnings += [*background, *contrast]
+        self._threshold = self._fixed_threshold(background if max(at_first) > plausibility.ALL_CHANGED else contrast)
         contact = self._contact(self.reference_frame)
         self._largest = self._gross_region(contact)
         self._second_px = view_faults.SECOND_CONTACT * self._largest.sum()  # least size of a second contact
@@ -124,8 +124,7 @@ class ContactStage(Stage):
                 f"covers the glass that would show how the light has changed. Leave some glass free, or record it again"
             )
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
-        radius = self.inputs.scene.contact.gross_radius_px
-        self.warnings += plausibility.check_areas(real, gross, radius, self.first_frame)
+        self.warnings += plausibility.check_areas(real, gross, self._engine.settings.gross_radius_px, self.first_frame)
         self.warnings += area_steps.check_light_steps(gross, area, self.first_frame)
         normal = self.known("normal_force")
         if self.inputs.scene.kind != "slip" and not self._several_parts:
@@ -239,8 +238,7 @@ class ContactStage(Stage):
             rows, columns = masks[k].shape
             cells = view_faults.outside_region(region[k], cell_px, radius_px)
             outside = masks[k] & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns]
-            index = indices[k]
-            count = outside.sum()
+            index, count = indices[k], int(outside.sum())
             self._outside[index] = count * pixel_mm2[k]
             if self.usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.first_frame
@@ -299,8 +297,8 @@ class ContactStage(Stage):
     def _fixed_threshold(self, faults: list[str]) -> float | None:
         """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
 
-        Raises FingerflowError if there is no contact; it says what to check first, and contains the last of the
-        `faults` of the contrast, if there are some.
+        Raises FingerflowError if there is no contact; it says what to check first, and contains the first of the
+        `faults` of background or contrast, if there are some.
         """
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
@@ -312,7 +310,7 @@ class ContactStage(Stage):
         if not np.isfinite(threshold):
             path = self.inputs.recording.path
             if faults:
-                raise FingerflowError(f"{path}: no contact: {faults[-1]}")
+                raise FingerflowError(f"{path}: no contact: {faults[0]}")
             shown = frame[0] - self._black, self._glass, self.reference_frame
             seen = next(view_faults.check_empty_view(*shown), "nothing there differs from the background as it does")
             clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""

@@ -43,7 +43,6 @@ class PrintedContactStage(Stage):
         touches = self._touches[batch.indices]
         if not touches.any():
             return
-        assert batch.frames is not None
         signal = illumination.contact_signal(self._normalized(batch.frames[touches]), self._first)
         levels = median_filter(illumination.quantize(signal), _MEDIAN_PX)
         threshold = otsu_threshold(levels)

@@ -54,7 +54,6 @@ class FrameCheckStage(Stage):
         )
 
     def step(self, batch: Batch) -> None:
-        assert batch.frames is not None
         indices = batch.indices
         view_blocks = []
         for k, view in enumerate(self._views):
@@ -100,11 +99,9 @@ class FrameCheckStage(Stage):
         by_value = ((meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1))
         faults = [fault for fault in by_value if len(fault[1])]
         for meaning, frames in faults:
-            numbers = frames + self.first_frame
-            why = f" ({reasons[frames[0]]})" if status[frames[0]] == UNREADABLE else ""
-            self.warnings.append(
-                f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
-            )
+            why = f" ({reasons[int(frames[0])]})" if status[frames[0]] == UNREADABLE else ""
+            listed = _listed(frames + self.first_frame)
+            self.warnings.append(f"{meaning}: {listed}{why}. No result counts them, theirs are NaN (frame_status)")
         if doubtful := self.inputs.recording.doubtful:
             numbers = np.array(sorted(doubtful)) + self.first_frame
             self.warnings.append(

@@ -33,7 +33,7 @@ _RISES, _FOLLOWS = 1.1, 0.05
 # Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
 _STARTS, _GROWS = 0.02, 1.1
 _CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is given
-_ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
+ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
 _BRIGHTER_SHARE = 0.005
 
@@ -97,7 +97,7 @@ def check_background(brighter: float, darker: float, frame: int) -> Iterator[str
     """Yield a warning if a large share `brighter` of the pixels in the first usable frame is brighter than without a
     finger, or most are `darker`.
     """
-    for share, change, least in ((brighter, "darker", _BRIGHTER_SHARE), (darker, "brighter", _ALL_CHANGED)):
+    for share, change, least in ((brighter, "darker", _BRIGHTER_SHARE), (darker, "brighter", ALL_CHANGED)):
         if share > least:
             yield (
                 f"background.frames is {change} than frame {frame} in {share:.1%} of the contact view: it was recorded "
@@ -157,26 +157,23 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
     nothing = measured & (area == 0)
     least, share = _FORCE_OF_NOTHING
     pressing = nothing & (np.abs(force) > max(least, share * peak))
-    cause = (
-        "force and pictures are not of the same moments, or the sensor has another zero. Check recording.trigger_frame "
-        "and forces.trigger_level, recording.frame_rate, and forces.offset or tare"
-    )
-    if pressing.any():
-        frame = np.argmax(np.where(pressing, np.abs(force), 0))
-        yield (
-            f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
-            f"{pressing.sum()} frames): {cause}"
-        )
-        return
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
     light = measured & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
     unloaded = np.where(light, area, 0.0)
-    frame = np.argmax(unloaded)
-    if peak >= 10 * noise and unloaded[frame] > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
-        yield (
-            f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the "
-            f"normal force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
-        )
+    if pressing.any():
+        frame = np.argmax(np.where(pressing, np.abs(force), 0))
+        number, many = frame + first_frame, int(pressing.sum())
+        what = f"normal force is {force[frame]:.2g} N in frame {number}, where nothing touches (in {many} frames)"
+    elif peak >= 10 * noise and unloaded.max() > _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
+        frame = np.argmax(unloaded)
+        where = f"in frame {frame + first_frame}, where the normal force is {force[frame]:.2g} of {peak:.2g} N"
+        what = f"contact has {area[frame]:.2g} of its {largest:.2g} mm² {where}"
+    else:
+        return
+    yield (
+        f"the {what}: force and pictures are not of the same moments, or the sensor has another zero. Check "
+        f"recording.trigger_frame and forces.trigger_level, recording.frame_rate, and forces.offset or tare"
+    )
 
 
 def check_growth(normal: Series, gross: Series) -> Iterator[str]:
@@ -224,15 +221,14 @@ def check_areas(real: Series, gross: Series, radius_px: int, first_frame: int) -
 
 def check_points(seeded: int, requested: int, min_distance_px: float, region_px: float) -> Iterator[str]:
     """Yield a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
-    if seeded >= _FEW_FOUND * requested:
-        return
-    # Upper bound of the number of points: one for each square of side `min_distance_px`.
-    room = round(region_px / min_distance_px**2)
-    yield (
-        f"{seeded} of {requested} points were found: the region of {region_px} px has room for {room} that lie "
-        f"{min_distance_px:g} px apart, as far as corners stand out of the noise. Check focus and light, make the "
-        f"region larger, or lower tracking.min_distance_px or tracking.points"
-    )
+    if seeded < _FEW_FOUND * requested:
+        # Upper bound of the number of points: one for each square of side `min_distance_px`.
+        room = round(region_px / min_distance_px**2)
+        yield (
+            f"{seeded} of {requested} points were found: the region of {region_px} px has room for {room} that lie "
+            f"{min_distance_px:g} px apart, as far as corners stand out of the noise. Check focus and light, make the "
+            f"region larger, or lower tracking.min_distance_px or tracking.points"
+        )
 
 
 def check_seeded_region(outside: float) -> Iterator[str]:
@@ -244,22 +240,17 @@ def check_seeded_region(outside: float) -> Iterator[str]:
         )
 
 
-def check_tracking(tracked: Series, differs: Series, held: Series, first_frame: int) -> Iterator[str]:
-    """Yield warnings if few points are tracked, if windows of points no longer resemble those in the frame in which
-    these were seeded, and if something that rests on the glass, such as dust, holds points back.
+def check_tracking(tracked: Series, held: Series, first_frame: int) -> Iterator[str]:
+    """Yield warnings if few points are tracked, and if something that rests on the glass, such as dust, holds points
+    back.
 
-    `tracked`, `differs` and `held` (frames,) are the shares of these points, NaN without points.
+    `tracked` and `held` (frames,) are the shares of these points, NaN without points.
     """
-    few, differ, dust = (np.flatnonzero(mask) for mask in (tracked < _FEW_TRACKED, differs > 0, held > 0))
+    few, dust = np.flatnonzero(tracked < _FEW_TRACKED), np.flatnonzero(held > 0)
     if len(few):
         yield (
             f"less than half of the points are tracked in {len(few)} frames, the first is {few[0] + first_frame} "
             f"({tracked[few[0]]:.0%}): what is known there is of the rest alone. status says why each was lost"
-        )
-    if len(differ):
-        yield (
-            f"up to {np.max(differs[differ]):.1%} of the points came to windows that differ from those seeded, in "
-            f"{len(differ)} frames, the first is {differ[0] + first_frame}: they are NaN there (status window_differs)"
         )
     if len(dust):
         yield (

@@ -9,9 +9,8 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
 
 _ONSET = (
-    "each point's own onset, the frame in which the contact comes to cover it. Gradients are of that displacement, by "
-    "the places of onset (Willemet et al. 2021): where skin moves while the contact grows over it, neighbours count "
-    "from other moments, and they differ from the strain of the skin"
+    "each point's own onset, the frame in which the contact comes to cover it. Gradients are by the positions of onset "
+    "(Willemet et al. 2021), and differ from the strain of skin that moves while the contact grows over it"
 )
 
 

@@ -61,18 +61,17 @@ class CountedSkin:
         ends = [np.repeat([end for _, end in skins], list(map(len, parts))) for parts in zip(*both, strict=True)]
         self.ends = np.concatenate(ends)
         # Corners of the separate triangles.
-        self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
-        self.corners = np.concatenate([plain, len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)])
-        self.since = np.concatenate([stage.begins, since])
-        self._since = since
-        self._then = select_frames(self._position, since, self._points)
-        noise_px = select_frames(results["position_noise_px"], since, self._points)
+        self._points, self._since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
+        self.corners = np.concatenate([plain, len(onset) + np.arange(len(self._since), dtype=np.int32).reshape(-1, 3)])
+        self.since = np.concatenate([stage.begins, self._since])
+        self._then = select_frames(self._position, self._since, self._points)
+        noise_px = select_frames(results["position_noise_px"], self._since, self._points)
         self._variance = (noise_px * stage.mm_per_px) ** 2
         self.reference = np.concatenate([reference, self._then])
         self.positions_px = stage.inputs.geometry.on_topography(self.reference)
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
-        self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
-        self.independent = np.concatenate([stage.independent, np.zeros(len(since))])
+        self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(self._since), 2, 2))])
+        self.independent = np.concatenate([stage.independent, np.zeros(len(self._since))])
         along, across = results["position_anisotropy"][:].T
         shape = np.stack((1 + along, across, across, 1 - along), axis=1).reshape(-1, 2, 2)
         self.shape = np.concatenate([shape, shape[self._points]])

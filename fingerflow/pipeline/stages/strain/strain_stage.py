@@ -73,10 +73,9 @@ class StrainStage(Stage):
         self.warnings += plausibility.check_young_modulus(self._settings.young_modulus_mpa)
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
-        triangles = skin.triangles
         self._since = moved.attributes
         measure = {"measure": self._settings.strain} | self._since
-        self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
+        self.results.put("triangles", skin.triangles, triangle=len(skin.triangles), corner=3)
         self._principal = {name for name in self.trial.requested if name.startswith("principal_")}
         density = "strain_energy_density", "strain_energy_density_std"
         for name in ("strain", "strain_std", *density, *sorted(self._principal)):
@@ -86,10 +85,8 @@ class StrainStage(Stage):
         # A triangle with a corner that was lost when it touched has no area, and no strain.
         self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].nan_to_num(0.0).numpy()
         self._corners = corners.to(device)
-        errors = OverlapErrors(
-            *(skin.since, skin.positions_px, skin.noise, skin.of_onset, skin.by_onsets),
-            self.inputs.scene.tracking.window_px,
-        )
+        known = skin.since, skin.positions_px, skin.noise, skin.of_onset, skin.by_onsets
+        errors = OverlapErrors(*known, self.inputs.scene.tracking.window_px)
         pairs = errors.pairs()
         sides = [errors.between(skin.corners[:, k], skin.corners[:, (k + 1) % 3]) for k in range(3)]
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
@@ -245,9 +242,8 @@ class StrainStage(Stage):
 
     def finish(self) -> None:
         gross, depth = self.results["gross_contact_area"][:], self._settings.depth_mm
-        self.warnings.extend(
-            plausibility.check_energy(gross, self._misfit, self._settings.gauge_length_mm, self.first_frame)
-        )
+        gauge_mm = self._settings.gauge_length_mm
+        self.warnings += plausibility.check_energy(gross, self._misfit, gauge_mm, self.first_frame)
         for name in _ENERGIES:
             # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
             self.series[name] = np.where(gross == 0, 0.0, depth * self.series[name])

@@ -161,8 +161,7 @@ class TrackingStage(Stage):
         self.series["forward_backward_median"][indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
-        shares = self.series["tracked_share"], self.series["window_differs_share"], self._held
-        self.warnings += plausibility.check_tracking(*shares, self.first_frame)
+        self.warnings += plausibility.check_tracking(self.series["tracked_share"], self._held, self.first_frame)
         if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
             by_key = self._settings.template == "keyframe"
             self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
@@ -273,9 +272,8 @@ class TrackingStage(Stage):
         room for the results.
         """
         variables = filter(self.trial.stores, chain.from_iterable(stage.gives for stage in self.trial.planned))
-        why = ""
-        if points + more == MOST_SEEDED * self._settings.points:
-            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
+        most = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
+        why = most if points + more == MOST_SEEDED * self._settings.points else ""
         try:
             self.results.check_room(size_of_results(variables, len(self.trial), more))
         except NoRoomError as error:
