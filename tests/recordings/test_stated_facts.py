@@ -90,7 +90,6 @@ def test_what_is_no_text_ends_in_a_sentence(case: str, tmp_path: Path) -> None:
         (["t_5e-2", "t_1e-1", "t_2e-1"], "decimal"),
         (["t0,05", "t0,1", "t0,5", "t1,0"], "decimal"),
         (["cam1.8", "cam1.9", "cam1.10"], ""),
-        (["a1_-1", "a1_2", "a2_-5"], ""),
     ],
 )
 def test_images_are_in_the_order_of_their_numbers(names: list[str], warns: str, tmp_path: Path) -> None:
@@ -121,7 +120,7 @@ def test_pixel_types_that_are_admitted(dtype: str, tmp_path: Path) -> None:
     assert NativeEngine(EngineSettings()).images(frame[None]).dtype.name in FRAME_KINDS
 
 
-@pytest.mark.parametrize("dtype", ["uint32", "float16", "longdouble", "uint64", "int8", "int16", "bool"])
+@pytest.mark.parametrize("dtype", ["uint32", "float16", "int16", "bool"])
 def test_pixel_types_that_are_refused(dtype: str, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((2, 16, 24), dtype))
     with pytest.raises(FingerflowError, match="frames are uint8, uint16, float32, float64"):
@@ -137,6 +136,7 @@ def test_pixel_types_that_are_refused(dtype: str, tmp_path: Path) -> None:
         (np.arange(5)[:, None] * 0.002, "seconds", 500.0, ""),
         (np.arange(5) * 2.0, "", None, "not used"),
         (np.array([0.0, 2, 1, 8, 10]), "ms", None, "do not increase"),
+        (np.array(5 * [b"12:00:00.002"]), "", None, "are no numbers"),
     ],
 )
 def test_times_of_frames_in_hdf5(stamps: np.ndarray, unit: str, rate: float | None, warns: str, tmp_path: Path) -> None:

@@ -84,8 +84,10 @@ def _time_stamps(path: Path, frames: h5py.Dataset, rate: float | None) -> tuple[
         if last not in TO_SECONDS:
             words.append(last)
         item = frames.parent.get(name) if "".join(words).removeprefix("frame") in _TIMES else None
-        if not isinstance(item, h5py.Dataset) or not 1 < item.size == len(frames) or item.dtype.kind not in "iuf":
+        if not isinstance(item, h5py.Dataset) or not 1 < item.size == len(frames):
             continue
+        if item.dtype.kind not in "iuf":
+            return None, rate, (f"the times of frames in {item.name} are no numbers, and are not used",)
         unit = item.attrs.get("units", item.attrs.get("unit", last))
         seconds = TO_SECONDS.get(unit.decode("latin-1") if isinstance(unit, bytes) else str(unit))
         values = read_whole(item, path).ravel().astype(np.float64 if item.dtype.kind == "f" else np.int64)
