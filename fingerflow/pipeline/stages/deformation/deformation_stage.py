@@ -244,11 +244,14 @@ class DeformationStage(Stage):
         rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
         if np.isnan(rates).all() > np.isnan(self._median).all():
             self.warnings.append(f"fields.rate_window_s = {window:g} lasts longer than the medians are known: no rates")
-        courses = {"": self._median, "_std": median_std, "_rate": rates, "_rate_std": rates_std}
-        for name, columns in (("median_divergence", 0), ("median_curl", 1), ("median_strain", slice(2, None))):
-            self.about[name] = self._gauge
-            for of in (of for of in courses if f"{name}{of}" in self.series):
-                self.series[f"{name}{of}"] = courses[of][:, columns]
+        for columns, names in (
+            (0, ("median_divergence", "median_divergence_std", "median_divergence_rate", "median_divergence_rate_std")),
+            (1, ("median_curl", "median_curl_std")),
+            (slice(2, None), ("median_strain", "median_strain_std", "median_strain_rate", "median_strain_rate_std")),
+        ):
+            self.about[names[0]] = self._gauge
+            for name, values in zip(names, (self._median, median_std, rates, rates_std), strict=False):
+                self.series[name] = values[:, columns]
         self.about["median_strain"] = self._gauge | {"measure": self._settings.strain}
         of_frames = self._median[:, 0], self.series["field_coverage"], self.results["gross_contact_area"][:]
         self.warnings.extend(plausibility.check_fields(*of_frames, self._settings.gauge_length_mm, self.first_frame))

@@ -77,7 +77,6 @@ class SlipStage(Stage):
     reads: ClassVar[tuple[str, ...]] = ("gross_contact_region", "gross_contact_area_std", "deformation_correction_px")
     needs = ("views.topography", "undistorted")
     after = (LoadingStage, ContactStage, TrackingStage)
-    follows_border = True
     settings: ClassVar[tuple[str, ...]] = (
         *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),

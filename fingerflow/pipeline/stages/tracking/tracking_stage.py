@@ -89,8 +89,7 @@ class TrackingStage(Stage):
         contact = self.trial.stage(ContactStage)
         self._region = contact.seeding_region(self._settings.window_px)
         if not self._region.any():
-            causes = "contact.threshold, frame rate and trigger, then the views"
-            self.warnings.append(f"no contact at {contact.moment}: there are no points. Check {causes}")
+            self.warnings.append(f"no contact at {contact.moment}: there are no points. Check threshold and views")
             self._create(0)
         if self._view == self.inputs.scene.views.contact:
             return
