@@ -85,6 +85,7 @@ def test_a_camera_may_say_whether_it_has_a_frame(stream: Stream) -> None:
     [
         (frame().tolist(), "gave a list in place of a frame"),
         ((frame(), "3"), "gave a frame with the time stamp '3' in place of a frame"),
+        ((frame(), 10**400), "gave a frame with the time stamp 1000"),
     ],
 )
 def test_what_is_no_frame_is_refused_in_words(stream: Stream, given: Any, said: str) -> None:

@@ -42,8 +42,9 @@ class CameraSource:
         first = frame[0] if isinstance(frame, tuple) and len(frame) == 2 else None
         if isinstance(first, np.ndarray):
             frame, stamp = frame
-            if not isinstance(stamp, (int, float, np.integer, np.floating)):
-                raise self._refused(f"a frame with the time stamp {stamp!r}")
+            too_large = isinstance(stamp, int) and abs(stamp) > 1e300
+            if too_large or not isinstance(stamp, (int, float, np.integer, np.floating)):
+                raise self._refused(f"a frame with the time stamp {stamp!r:.40}")
             self.stamp = float(stamp)
         elif isinstance(first, (bool, np.bool_)):
             there, frame = frame
