@@ -79,8 +79,8 @@ def _add_needs(requested: Iterable[type[Stage]], named: frozenset[str], stages: 
         if stage in needed:
             needed.update(stage.after, stage.same_pass)
     run = tuple(stage for stage in ordered if stage in needed)
-    stored = named.union(*(stage.reads for stage in run))
-    return Plan(run, stored.union(name for name in VARIABLES if name.removesuffix("_std") in stored))
+    stored = {name.removesuffix("_std") for name in named.union(*(stage.reads for stage in run))}
+    return Plan(run, frozenset(name for name in VARIABLES if name.removesuffix("_std") in stored))
 
 
 def _missing_keys(stage: type[Stage], scene: Scene) -> list[str]:

@@ -41,8 +41,10 @@ def test_the_negative_of_a_recording_gives_the_same_numbers(negatives: dict[str,
     assert warnings_of(bright_contact) == warnings_of(dark_contact)
     for pixel in np.uint16(16), np.float32(1 / 255):  # of a camera of 12 bits, and of a program that scales to 1
         scaled = {name: picture.astype(pixel.dtype) * pixel for name, picture in negatives.items()}
+        if pixel < 1:
+            scaled["frames"][0] = np.inf  # this frame alone does not count
         area = process(changed(BRIGHT, **scaled), ["real_contact_area"])["real_contact_area"]
-        np.testing.assert_allclose(area, dark_contact["real_contact_area"], rtol=0.01, atol=0.01)
+        np.testing.assert_allclose(area[1:], dark_contact["real_contact_area"][1:], rtol=0.01, atol=0.01)
 
 
 def test_the_wrong_setting_is_named(pictures: dict[str, Frames], negatives: dict[str, Frames], changed: Change) -> None:

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
 
-from fingerflow import load_scene, process
+from fingerflow import process
 from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.player.stream_scene import load_scene as load_stream
@@ -59,9 +59,11 @@ def test_a_region_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
     np.testing.assert_array_equal(found, (along / 38) ** 2 + (across / 17) ** 2 <= 1)
 
 
-def test_contact_counts_inside_its_region_alone(changed: Callable[..., Scene], drawn: Callable[..., Scene]) -> None:
+def test_contact_counts_inside_its_region_alone(
+    changed: Callable[..., Scene], drawn: Callable[..., Scene], frames: np.ndarray[Any, Any]
+) -> None:
     """The contact areas of two half views add up to the whole to 2 %; the median filter of 3 x 3 px differs where the
-    border cuts ridges.
+    border cuts ridges. What darkens the other half does not choose the frame with most contact.
     """
     fixed = {'threshold = "reference_frame"': "threshold = 0.25"}
     scene = changed(fixed)
@@ -72,10 +74,13 @@ def test_contact_counts_inside_its_region_alone(changed: Callable[..., Scene], d
     halves = []
     for first, end in ((0, middle), (middle, width)):
         corners = [[first, 0], [end, 0], [end, height], [first, height]]
-        half = drawn(CONTACT, f"polygon = {corners}", fixed)
-        halves.append(process(half, names)["real_contact_area"].values)
+        halves.append(process(drawn(CONTACT, f"polygon = {corners}", fixed), names)["real_contact_area"].values)
     assert min(half[-1] for half in halves) > 0.2 * whole[-1]
     np.testing.assert_allclose(halves[0] + halves[1], whole, rtol=0.02, atol=1e-3)
+    spoilt = frames.copy()
+    scene.views.contact.crop(spoilt)[0, :, :50] //= 3
+    half = changed({CONTACT: f"{CONTACT}\nregion = {{polygon = {corners}}}"}, stream=False, forces=False, frames=spoilt)
+    np.testing.assert_allclose(process(half, names)["real_contact_area"], halves[1], rtol=0.2)
 
 
 def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Callable[..., Scene]) -> None:
@@ -83,8 +88,8 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
     scene = drawn(TOPOGRAPHY, ellipse, {POINTS: "points = 60"})
     mask = region_mask(scene, "topography")
     assert mask is not None
-    bundle = SimpleNamespace(height=mask.shape[0], width=mask.shape[1], points=60, bit_depth=8)
-    np.testing.assert_array_equal(stream_settings(load_stream(scene.path), cast(Any, bundle)).region, mask)
+    bundle: Any = SimpleNamespace(height=mask.shape[0], width=mask.shape[1], points=60, bit_depth=8)
+    np.testing.assert_array_equal(stream_settings(load_stream(scene.path), bundle).region, mask)
     first = process(scene, ["position_px"])["position_px"].values[0]
     x, y = first[np.isfinite(first).all(1)].round().astype(int).T  # more points are seeded later, as the contact grows
     assert len(x) > 20
@@ -92,9 +97,9 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
 
 
 def test_a_picture_is_a_region_and_what_does_not_fit_is_refused(
-    press: Path, changed: Callable[..., Scene], drawn: Callable[..., Scene], tmp_path: Path
+    changed: Callable[..., Scene], drawn: Callable[..., Scene], tmp_path: Path
 ) -> None:
-    picture = np.zeros(load_scene(press / "scene.toml").views.contact.shape, np.uint8)
+    picture = np.zeros(changed().views.contact.shape, np.uint8)
     picture[10:30, 20:50] = 255
     cv2.imwrite(str(tmp_path / "mask.png"), picture)
     scene = drawn(CONTACT, 'mask = "mask.png"')
@@ -106,16 +111,10 @@ def test_a_picture_is_a_region_and_what_does_not_fit_is_refused(
         load_stream(drawn(TOPOGRAPHY, 'mask = "mask.png"').path)
     with pytest.raises(PlayerError, match=r"views\.contact\.region is of `fingerflow process`.*rows and columns"):
         load_stream(drawn(CONTACT, "polygon = [[0, 0], [90, 0], [90, 90]]").path)
-    outside = drawn(CONTACT, "polygon = [[900, 0], [990, 0], [990, 90]]")
     with pytest.raises(FingerflowError, match=r"views\.contact\.region holds no pixel of the view of"):
-        region_mask(outside, "contact")
+        region_mask(drawn(CONTACT, "polygon = [[900, 0], [990, 0], [990, 90]]"), "contact")
     cv2.imwrite(str(tmp_path / "mask.png"), np.ones((7, 9), np.uint8))
-    with pytest.raises(FingerflowError, match=r"mask\.png has 7 x 9 px, the view"):
+    with pytest.raises(FingerflowError, match=r"mask\.png has 7 x 9 px"):
         region_mask(scene, "contact")
-    (tmp_path / "mask.png").write_bytes(b"no picture")
-    with pytest.raises(FingerflowError, match=r"mask\.png is no picture that can be read; save it as PNG"):
-        region_mask(scene, "contact")
-    with pytest.raises(FingerflowError, match=r"other\.png does not exist"):
-        drawn(CONTACT, 'mask = "other.png"')
     with pytest.raises(FingerflowError, match=r"both say where points are chosen"):
         changed({TOPOGRAPHY: f"{TOPOGRAPHY}\nregion = {{polygon = [[0, 0], [90, 0], [90, 90]]}}"})

@@ -256,14 +256,14 @@ class ContactStage(Stage):
         return self.inputs.counts(read_frames(self.inputs.recording[[int(frame)]]), self._view)
 
     def _light_left(self, frame: int | np.integer) -> Array:
-        """Return the light of samples (K,) of the lit pixels in a frame relative to that of the empty glass, both above
-        the black level and under the same illumination.
+        """Return the light of samples (K,) of the lit pixels of the scene's region in a frame relative to that of the
+        empty glass, both above the black level and under the same illumination.
         """
         counts, size = self._counts(frame), [side // _STEP for side in self._view.shape[::-1]]
         pictures = counts[0] - self._black, self._glass
         seen, empty = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
-        lit, unknown = empty > _LEAST_LIGHT * empty.max(), np.full(1, np.nan, np.float32)
-        # A NaN threshold detects no contact.
+        lit = cv2.resize(self._light[0][0, 0], size, interpolation=cv2.INTER_NEAREST) > _LEAST_LIGHT * empty.max()
+        unknown = np.full(1, np.nan, np.float32)  # detects no contact
         gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
         return seen[lit] / (empty[lit] * (gain if np.isfinite(gain) else 1))
 
@@ -272,8 +272,7 @@ class ContactStage(Stage):
         empty glass.
         """
         share = self._light_left(frame)
-        count = max(share.size, 1)
-        return (share > _BRIGHTER).sum() / count, (share < 1 / _BRIGHTER).sum() / count
+        return (share > _BRIGHTER).mean(), (share < 1 / _BRIGHTER).mean()
 
     def _contact(self, frame: int | np.integer) -> FrameContact:
         return self._measure(self._engine.images(self._counts(frame)))
@@ -311,11 +310,10 @@ class ContactStage(Stage):
             path = self.inputs.recording.path
             if faults:
                 raise FingerflowError(f"{path}: no contact: {faults[0]}")
-            shown = frame[0] - self._black, self._glass, self.reference_frame
+            shown = frame[0] - self._black, self._glass, self.reference_frame + self.first_frame
             seen = next(view_faults.check_empty_view(*shown), "nothing there differs from the background as it does")
-            clocks = "frame rate and trigger of [recording] and [forces], then " if self.inputs.scene.forces else ""
             raise FingerflowError(
-                f"{path}: no contact at {self.moment}: {seen}. Check {clocks}[views.contact] and [background] in "
-                f"{self.inputs.scene.path}; or set [contact] threshold to a number"
+                f"{path}: no contact at {self.moment}: {seen}. Check frame rate and trigger, then [views.contact] "
+                f"and [background] in {self.inputs.scene.path}; or set [contact] threshold to a number"
             )
         return threshold

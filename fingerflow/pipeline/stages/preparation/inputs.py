@@ -86,7 +86,7 @@ class Inputs:
         pixels of 16 bits may hold fewer; of floating-point frames the largest in the sample.
         """
         sample = read_frames(self.recording[:: -(-len(self.recording) // _REFERENCE_FRAMES)])
-        largest: float = np.nanmax(sample).item()
+        largest: float = np.max(sample, initial=0, where=np.isfinite(sample)).item()
         return largest if isinstance(largest, float) else 2 ** max(8, largest.bit_length()) - 1
 
     def _is_bright(self, view: View) -> bool:

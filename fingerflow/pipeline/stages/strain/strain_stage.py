@@ -250,7 +250,7 @@ class StrainStage(Stage):
             self.about[name] = {"depth_mm": depth} | self._since
         self.series["strain_energy_rate"] = self._rate(self.series["strain_energy"])
         self.series["strain_energy_rate_std"] = self._rate(self.series["strain_energy_std"], of_std=True)
-        if {"strain_rate", "strain_rate_std"} & self.trial.requested:
+        if "strain_rate" in self.trial.requested:
             self._put_strain_rate()
 
     def _rate(self, series: Series, of_std: bool = False) -> Series:
@@ -264,9 +264,8 @@ class StrainStage(Stage):
         third = np.diff(strain, 3, axis=0)
         noise = np.sqrt(np.nansum(third**2, 0) / (20 * np.maximum(np.isfinite(third).sum(0), 1)))
         by_noise = self._rate(np.where(np.isfinite(strain), noise, np.nan), of_std=True)
-        rates = {"strain_rate": self._rate(strain), "strain_rate_std": np.hypot(by_noise, self._rate(deviation))}
-        for name in sorted(rates.keys() & self.trial.requested):
-            self.results.put(name, rates[name])
+        self.results.put("strain_rate", self._rate(strain))
+        self.results.put("strain_rate_std", np.hypot(by_noise, self._rate(deviation)))
 
 
 def border_density(density: Array, areas: Array, positions: Array, border: FrameEllipse, reach_mm: float) -> Series:
