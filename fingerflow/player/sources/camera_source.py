@@ -42,15 +42,14 @@ class CameraSource:
         first = frame[0] if isinstance(frame, tuple) and len(frame) == 2 else None
         if isinstance(first, np.ndarray):
             frame, stamp = frame
-            too_large = isinstance(stamp, int) and abs(stamp) > 1e300
-            if too_large or not isinstance(stamp, (int, float, np.integer, np.floating)):
+            whole = isinstance(stamp, int) and abs(stamp) < 1e300
+            if not (whole or isinstance(stamp, (float, np.integer, np.floating))):
                 raise self._refused(f"a frame with the time stamp {stamp!r:.40}")
             self.stamp = float(stamp)
         elif isinstance(first, (bool, np.bool_)):
-            there, frame = frame
-            if not there:
+            if not first:
                 raise OSError("the camera gave (False, ...) in place of a frame")
-            if frame is None:
+            if (frame := frame[1]) is None:
                 raise self._refused("(True, None)")
         if frame is None or isinstance(frame, np.ndarray):
             return frame
