@@ -260,9 +260,9 @@ class ContactStage(Stage):
         empty glass, both above the black level and under the same illumination.
         """
         counts, size = self._counts(frame), [side // _STEP for side in self._view.shape[::-1]]
-        pictures = counts[0] - self._black, self._glass
-        seen, empty = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
-        lit = cv2.resize(self._light[0][0, 0], size, interpolation=cv2.INTER_NEAREST) > _LEAST_LIGHT * empty.max()
+        pictures = counts[0] - self._black, self._glass, self._light[0][0, 0]
+        seen, empty, inside = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
+        lit = inside > _LEAST_LIGHT * empty.max()
         unknown = np.full(1, np.nan, np.float32)  # detects no contact
         gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
         return seen[lit] / (empty[lit] * (gain if np.isfinite(gain) else 1))
@@ -272,7 +272,8 @@ class ContactStage(Stage):
         empty glass.
         """
         share = self._light_left(frame)
-        return (share > _BRIGHTER).mean(), (share < 1 / _BRIGHTER).mean()
+        count = max(share.size, 1)
+        return (share > _BRIGHTER).sum() / count, (share < 1 / _BRIGHTER).sum() / count
 
     def _contact(self, frame: int | np.integer) -> FrameContact:
         return self._measure(self._engine.images(self._counts(frame)))
