@@ -44,8 +44,8 @@ def check_ridges(period_px: float, mm_per_px: float) -> Iterator[str]:
     if np.isfinite(period) and not least <= period <= most:
         yield (
             f"calibration.mm_per_px = {mm_per_px:g} puts the ridges {period:.2g} mm apart, and those of fingers are "
-            f"{least:g} to {most:g} mm apart: lengths and areas are wrong, as where a diameter is taken for a radius; "
-            f"calibrate again"
+            f"{least:g} to {most:g} mm apart: the scale is wrong, as where a diameter is taken for a radius, and "
+            f"lengths and areas with it; calibrate again"
         )
 
 

@@ -186,6 +186,11 @@ class TrackingStage(Stage):
         image, where, requested = images[:1], self._seeding_region(margin), self._settings.points
         points = self._detect(image, where, requested)
         if len(points) < _FEWEST:
+            # The frame with the largest contact may be later, and show it elsewhere than this frame.
+            self._region = self.trial.stage(ContactStage).touched()
+            where = self._seeding_region(margin)
+            points = self._detect(image, where, requested)
+        if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
                 f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
