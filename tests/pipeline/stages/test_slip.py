@@ -130,7 +130,7 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
     assert [SlipStage in plan(None, one).stages for one in (press, slip, areas)] == [False, True, False]
     for output, scene, what in (
         ("load_ratio", replace(slip, forces=None), "load_ratio"),
-        ("stuck_area", areas, "topographic view"),
+        ("stuck_area", areas, "needs views.topography"),
         ("dense_flow_difference", slip, "dense_flow_difference' comes by dense flow"),
     ):
         with pytest.raises(FingerflowError, match=what):
