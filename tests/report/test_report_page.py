@@ -80,7 +80,7 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
         value, spread = (1000 * float(result[f"median_divergence{of}"][frame]) for of in ("", "_std"))
         assert lines["median divergence"][k] == format_uncertainty(value, spread)
         assert lines["median divergence"][k] in told(page)
-    assert "a border 0.035 mm off" in told(page)
+    assert "a border 0.014 mm off" in told(page)
     for name in ("gross contact area", "real contact area", "contact area ratio"):
         area, spread = (float(result[name.replace(" ", "_") + of][frames[-1][0]]) for of in ("", "_std"))
         assert lines[name][-1] == format_uncertainty(area, spread)
