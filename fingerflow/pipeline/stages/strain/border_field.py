@@ -202,6 +202,8 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tu
 
 def _powers(values: Array, highest: int) -> Array:
     """Return the powers (n, highest + 1, N) from 0 on of values (n, N)."""
-    factors = np.ones((len(values), highest + 1, values.shape[1]))
-    factors[:, 1:] = values[:, None]
-    return np.multiply.accumulate(factors, axis=1)
+    result = np.empty((len(values), highest + 1, values.shape[1]))
+    result[:, 0] = 1
+    for k in range(highest):
+        np.multiply(result[:, k], values, out=result[:, k + 1])
+    return result

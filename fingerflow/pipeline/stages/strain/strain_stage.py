@@ -1,5 +1,7 @@
 """Strain of the triangles between tracked points, and strain energy of the skin in contact."""
 
+from bisect import bisect_left
+
 import numpy as np
 import torch
 
@@ -293,6 +295,12 @@ def _growth(radius: Series) -> Numbers:
     """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
     within `GROWTH_MM` of its value there, or larger.
     """
-    sizes = np.where(np.isfinite(radius), radius, -np.inf)
-    smaller = (np.flatnonzero(sizes[:frame] < size - GROWTH_MM) for frame, size in enumerate(sizes))
-    return np.array([frames[-1] + 1 if len(frames) else 0 for frames in smaller], np.intp)
+    sizes, result = np.where(np.isfinite(radius), radius, -np.inf).tolist(), np.zeros(len(radius), np.intp)
+    frames = list[int]()  # earlier frames that no later one has a smaller radius than: their radii ascend
+    for frame, size in enumerate(sizes):
+        smaller = bisect_left(frames, size - GROWTH_MM, key=sizes.__getitem__)
+        result[frame] = frames[smaller - 1] + 1 if smaller else 0
+        while frames and sizes[frames[-1]] >= size:
+            frames.pop()
+        frames.append(frame)
+    return result

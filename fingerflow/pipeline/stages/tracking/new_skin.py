@@ -82,9 +82,14 @@ class NewSkin:
         rows, columns = np.indices(touching.shape)
         at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
         followed, window = np.flatnonzero(tracked), self._window * self._per_px
+        # Skin that touches, or may soon, farther than half a window from any point: a press has hardly any.
+        ahead = int(_AHEAD * np.nanmax(np.abs(way[followed]), initial=0.0) / (self._cell * _STEP)) + 1
+        square = np.ones((2 * min(ahead, max(touching.shape)) + 1,) * 2, np.uint8)
+        bare = cv2.dilate(touching.astype(np.uint8), square).ravel() > 0
+        bare &= np.hypot(*(at - position[self._nearest(position, contact.shape)]).T) > window / 2
+        if bare.sum() * (_STEP * self._cell) ** 2 < window**2:
+            return None
         nearest = followed[self._nearest(position[followed], contact.shape)]
-        # Skin that touches, or soon will, farther than half a window from any point.
-        bare = np.hypot(*(at - position[self._nearest(position, contact.shape)]).T) > window / 2
         bare &= self._in(touching, at) | self._in(touching, at + _AHEAD * way[nearest])
         bare[bare] = self._is_new(at[bare], moved[nearest[bare]], seeding[nearest[bare]])
         if bare.sum() * (_STEP * self._cell) ** 2 < window**2:
@@ -98,8 +103,8 @@ class NewSkin:
         return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(pixels)
 
     def _nearest(self, position: Points, shape: tuple[int, ...]) -> Numbers:
-        """Return for every second cell, in both directions, the index (K,) of the point of `position` (N, 2) px that is
-        nearest to half a cell; `shape` is that of all cells.
+        """Return, for every second cell of every second row, the index (K,) of the nearest of the points `position`
+        (N, 2) px, exact to half a cell; `shape` is that of all cells.
         """
         return distances((position + 0.5) / self._cell - 0.5, shape)[1][::_STEP, ::_STEP].ravel()
 
@@ -148,8 +153,8 @@ class NewSkin:
 
 
 def distances(points: Points, shape: tuple[int, ...]) -> tuple[Array, Numbers]:
-    """Return the distance (h, w) px of every pixel of a picture from the nearest of the points (N, 2) px in it, to half
-    a pixel, and the index (h, w) of that point.
+    """Return, for every pixel of a picture, its distance (h, w) px from the nearest point, exact to half a pixel, and
+    the index (h, w) of that point; points (N, 2) px outside the picture do not count.
     """
     column, row = np.rint(points).astype(int).T
     inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0]))
