@@ -76,6 +76,9 @@ class ContactStage(Stage):
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
         drawn = region_mask(self.inputs.scene, "contact")
         self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
+        empty = self._samples(self._glass)
+        self._lit = self._samples(self._light[0][0, 0]) > _LEAST_LIGHT * empty.max()
+        self._light_of_lit = empty[self._lit]
         first = int(np.argmax(self.usable))
         at_first = self._changed(first)
         background = [*plausibility.check_background(*at_first, first + self.first_frame)]
@@ -256,16 +259,17 @@ class ContactStage(Stage):
         return self.inputs.counts(read_frames(self.inputs.recording[[int(frame)]]), self._view)
 
     def _light_left(self, frame: int | np.integer) -> Array:
-        """Return the light of samples (K,) of the lit pixels of the scene's region in a frame relative to that of the
-        empty glass, both above the black level and under the same illumination.
+        """Return the ratio (K,) of a frame's light to that of the empty glass at samples of the scene's region, both
+        above the black level and under the same illumination.
         """
-        counts, size = self._counts(frame), [side // _STEP for side in self._view.shape[::-1]]
-        pictures = counts[0] - self._black, self._glass, self._light[0][0, 0]
-        seen, empty, inside = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
-        lit = inside > _LEAST_LIGHT * empty.max()
-        unknown = np.full(1, np.nan, np.float32)  # detects no contact
+        counts, unknown = self._counts(frame), np.full(1, np.nan, np.float32)  # this threshold detects no contact
         gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
-        return seen[lit] / (empty[lit] * (gain if np.isfinite(gain) else 1))
+        seen = self._samples(counts[0] - self._black)[self._lit]
+        return seen / (self._light_of_lit * (gain if np.isfinite(gain) else 1))
+
+    def _samples(self, picture: Array) -> Array:
+        size = [side // _STEP for side in self._view.shape[::-1]]
+        return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
 
     def _changed(self, frame: int) -> tuple[float, float]:
         """Return the shares of the lit pixels that are clearly brighter, and clearly darker, in a frame than on the
