@@ -161,8 +161,9 @@ class DeformationStage(Stage):
         self._stated = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.requested)]
         for name in self._stated:
             self.results.create(name, self._gauge)
-        for name in {"rigid_residual", "rigid_residual_std"} & self.trial.requested:
-            self.results.create(name)
+        if "rigid_residual" in self.trial.requested:
+            self.results.create("rigid_residual")
+            self.results.create("rigid_residual_std")
         widest = 2 * float(np.fmax.reduce(self.border.semi_axes[:, 1]))
         self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.

@@ -1,14 +1,11 @@
-"""Deviations of the displacement that the best rigid motion leaves, and of its median length."""
+"""Standard deviations of the displacement that remains without the best rigid motion, and of its median length."""
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import nanmedian
-
-Array = NDArray[Any]
+from fingerflow.pipeline.stages.array_types import Array
 
 # Measured on presses, slides and partial slips of real prints: the error of the rigid motion of least squares over the
 # median deviation of the points, and that of the median length over their mean deviation by curvature within windows,
@@ -20,8 +17,8 @@ _MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector with two components o
 def residual_deviations(
     length: Array, median: Array, square: Array, noise: Array, curvature: Array
 ) -> tuple[Array, Array]:
-    """Return the standard deviations, mm, of a component of the residual (n, N) at N points in n frames, and of its
-    median length (n,).
+    """Return two standard deviations, mm: that of a component of the residual displacement of N points in n frames
+    (n, N), and that of the median length of these residuals (n,).
 
     Noise adds sqrt(median^2 + b^2) - median at most to a length whose median would be b without a residual.
 
