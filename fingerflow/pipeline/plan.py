@@ -23,7 +23,7 @@ _REMEDIES = {
 
 
 class Plan(NamedTuple):
-    """Plan of a run: stages sorted by dependency, and names of requested optional variables with their deviations."""
+    """Plan of a run: stages sorted by dependency, and names of the requested variables and of their deviations."""
 
     stages: tuple[type[Stage], ...]
     requested: frozenset[str]

@@ -171,7 +171,7 @@ class _Trial:
         return curves
 
     def at_largest(self, series: Series, values: Series) -> float:
-        """Return the value of `values` (F,) where a time series of the trial is largest between onset and end of
+        """Return the element of `values` (F,) in the frame in which `series` (F,) is largest between onset and end of
         contact; NaN if it is not known there.
         """
         contact = series[self._onset : self._last + 1]

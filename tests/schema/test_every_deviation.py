@@ -24,14 +24,16 @@ ALL = RECORDED | VARIABLES | NUMBERS
 
 
 def test_every_number_has_a_deviation_or_a_reason() -> None:
-    """A paper's own steps (printed_) have none. Columns at moments of a trial go with the first of their quantity."""
+    """Variables that repeat a paper's own steps (printed_) are exempt. Columns of one quantity at several moments of a
+    trial count as one.
+    """
     numbers = {name for name, variable in ALL.items() if variable.dtype[0] == "f" and "_std" not in name}
     without = {name.partition("_at_")[0] for name in numbers if f"{name}_std" not in ALL}
     assert {name for name in without if not name.startswith("printed_")} == set(" ".join(WITHOUT.values()).split())
 
 
 def test_every_deviation_has_its_number() -> None:
-    """It has the number's unit and dimensions, but for that of components which err alike."""
+    """A deviation has the unit and the dimensions of its number; components that err alike share one."""
     for name, deviation in ALL.items():
         if name.endswith("_std"):
             number = ALL[name.removesuffix("_std")]

@@ -102,8 +102,8 @@ def principal_strains(strain: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def principal_deviations(strain: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the standard deviations of the principal strains (..., 2) and of the angle (...) of the major one, rad, by
-    independent errors, of standard deviations `std`, of the measured strain (..., 3).
+    """Return the standard deviations of the principal strains (..., 2) and of the angle (...) of the major one, rad.
+    The components of the strain (..., 3) have independent errors with the standard deviations `std` (..., 3).
 
     Where the principal strains differ by less than their errors, the angle is that of any direction, whose deviation is
     pi / sqrt(12).

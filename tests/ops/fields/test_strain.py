@@ -74,8 +74,8 @@ def test_principal_strains_are_eigenvalues_and_their_direction() -> None:
 
 
 def test_deviations_of_principal_strains_are_those_of_draws() -> None:
-    """Strains of 20,000 draws scatter as stated, to 3 %; so do angles, also where nothing but errors is left of them,
-    to 10 %, in which no direction is likelier than others.
+    """Principal strains and angles of 20,000 strains with random errors scatter by their standard deviations, to 3 %.
+    Where the strain is 0, all directions are equally likely, and the angle does so to 10 %.
     """
     draws = torch.Generator().manual_seed(3)
     std = torch.tensor([0.001, 0.002, 0.0015], dtype=torch.float64)

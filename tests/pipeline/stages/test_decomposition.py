@@ -51,8 +51,8 @@ def test_parts_of_a_uniform_gradient() -> None:
 
 
 def test_noise_alone_is_within_the_deviation_of_its_median_length() -> None:
-    """The residuals of 2000 resting points are noise, whose median length its deviation holds, to 5 %; skin that has
-    moved far has the deviation by curvature alone.
+    """2000 points at rest have residuals of noise alone: the deviation of their median length equals it, to 5 %. Where
+    skin has moved far, noise hardly changes lengths, and the deviation is that by curvature.
     """
     noise = np.full((1, 2000), 0.001**2)
     length = np.hypot(*np.random.default_rng(5).normal(0, 0.001, (2, *noise.shape)))

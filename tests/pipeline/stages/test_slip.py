@@ -277,7 +277,9 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
 def test_the_halves_of_the_contact_gain_what_its_rim_has_moved(
     slip_trials: Path, results: dict[str, xr.Dataset]
 ) -> None:
-    """Skin is laid and peeled at the rates by which the rim moves, to 10 %; in full slip within the deviations."""
+    """The rates of area laid and peeled equal the speed of the rim times its width, to 10 %. In full slip the border
+    gains no skin, and the rate is 0 within two of its deviations.
+    """
     result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
     assert isinstance(trial, PartialSlip)
     # Skin at the rim has moved by `rim` while the contact stands; both halves see the width of the contact across it.

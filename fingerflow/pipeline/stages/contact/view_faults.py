@@ -176,8 +176,8 @@ def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, awa
 
 
 def check_empty_view(frame: Picture, light: Picture, number: int) -> Iterator[str]:
-    """Yield what a frame in which no finger was detected shows instead: a torn background, moved glass, uneven
-    light.
+    """Yield a sentence for each fault that hides the finger in a frame without contact: a torn background, glass that
+    moved, uneven light.
     """
     yield from check_background_lines(light)
     yield from check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf))

@@ -82,8 +82,8 @@ class Inputs:
 
     @cached_property
     def _largest_count(self) -> float:
-        """Return the largest count of the camera: of integers that of as many bits as a sample of frames fills, since
-        pixels of 16 bits may hold fewer; of floating-point frames the largest in the sample.
+        """Return the largest count that the camera can give. Integer pixels may have more bits than the camera: its
+        bits are those that a sample of the frames fills. For floating-point frames it is the largest in the sample.
         """
         sample = read_frames(self.recording[:: -(-len(self.recording) // _REFERENCE_FRAMES)])
         largest: float = np.max(sample, initial=0, where=np.isfinite(sample)).item()
