@@ -51,7 +51,7 @@ def stress(
     """
     edges, pressure, traction = _check_load(edges, pressure, traction)
     lateral, depth = torch.broadcast_tensors(*(torch.as_tensor(value, dtype=torch.float64) for value in (y, z)))
-    if not bool(((depth > 0) & (depth < torch.inf) & lateral.isfinite()).all()):
+    if not ((depth > 0) & (depth < torch.inf) & lateral.isfinite()).all():
         raise ValueError(
             f"y from {float(lateral.min())} and z from {float(depth.min())}: give finite places with z > 0; the "
             "surface itself has sigma_z = -pressure and tau_yz = -traction"
@@ -124,8 +124,8 @@ def _check_load(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tup
                 f"{name} {tuple(load.shape)} on edges {tuple(edges.shape)}: give one value a strip, {strips} in the "
                 "last dimension"
             )
-        if not bool(load.isfinite().all()):
+        if not load.isfinite().all():
             raise ValueError(f"{name} has a value that is not finite: leave the frames out that are not known")
-    if not bool((edges.diff(dim=-1) > 0).all()) or not bool(edges.isfinite().all()):
+    if not (edges.diff(dim=-1) > 0).all() or not edges.isfinite().all():
         raise ValueError("edges do not rise from each to the next: sort strips along y and leave empty ones out")
     return edges, pressure, traction

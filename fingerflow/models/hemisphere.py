@@ -64,10 +64,10 @@ def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tensor]:
     """Check the indentation `delta` and the radius of a hemisphere; return delta / radius and the radius, float64."""
     depth, size = (torch.as_tensor(value, dtype=torch.float64) for value in (delta, radius))
-    if not bool(((size > 0) & (size < torch.inf)).all()):
+    if not ((size > 0) & (size < torch.inf)).all():
         raise ValueError(f"radius {_first_invalid(size, size > 0)}: give a positive length, in the unit of delta")
     allowed = (depth >= 0) & (depth <= size)
-    if not bool(allowed.all()):
+    if not allowed.all():
         depth, size = torch.broadcast_tensors(depth, size)
         raise ValueError(
             f"delta {_first_invalid(depth, allowed)} with a radius of {_first_invalid(size, allowed)}: "

@@ -150,7 +150,7 @@ def follow(
     Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. Raises ValueError as `press` does.
     """
     steps = time.double().diff()
-    if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
+    if time.ndim != 1 or len(time) < 2 or not (steps > 0).all():
         raise ValueError(f"time {tuple(time.shape)} must be (T,), two or more, and rise at every step")
     down, along = _trace("load_n", load_n, len(time)), _trace("tangential_n", tangential_n, len(time))
     chains, state = _undeformed_chains(friction, parameters, elements, down[0], along[0])
@@ -188,7 +188,7 @@ def _load(shape: torch.Size, down: Number, along: Number) -> Tensor:
     `along` it.
     """
     x, z = (torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down))
-    if not bool(x.isfinite().all() and z.isfinite().all()):
+    if not (x.isfinite().all() and z.isfinite().all()):
         raise ValueError("a load is not finite: cut the trace where forces are not known")
     return torch.stack((x, -z), -1)
 
@@ -207,7 +207,7 @@ def _coefficient(friction: Number, chains: Chains) -> Tensor:
     """Check a friction coefficient, and return it for each element of all chains (..., N)."""
     coefficient = torch.as_tensor(friction, dtype=torch.float64)
     valid = (coefficient >= 0) & (coefficient < math.inf)
-    if not bool(valid.all()):
+    if not valid.all():
         raise ValueError(f"friction {float(coefficient[~valid].flatten()[0])}: a coefficient is 0 or more")
     return coefficient[..., None].expand(*chains.shape, chains.reference.shape[-2])
 

@@ -76,7 +76,7 @@ def since_onset(press: PressedChain, rim_m: float = 0.0) -> SinceOnset:
     half = press.contact_length / 2
     outward = (x - x.flip(-1))[..., x.shape[-1] // 2 :] / 2
     uneven = ((x + x.flip(-1)).abs() / 2).amax(-1)
-    if bool((uneven > _SYMMETRY * half.clamp_min(1e-4)).any()):
+    if (uneven > _SYMMETRY * half.clamp_min(1e-4)).any():
         raise ValueError(
             f"a press that is {uneven.max().item():.3g} m off its axis is no finger of revolution: leave out "
             "tangential loads, slides and friction that differs from side to side"

@@ -95,6 +95,6 @@ def parameter_set(parameters: "str | SkinParameters") -> SkinParameters:
         from_zero = field.name in ("friction_exponent", "stiffening")
         allowed, limits = (value >= 0, "0 or more") if from_zero else (value > 0, "positive")
         allowed = allowed & (value < math.inf)
-        if not bool(allowed.all()):
+        if not allowed.all():
             raise ValueError(f"{field.name} is {value[~allowed].flatten()[0].item():g}: it must be {limits}")
     return parameters

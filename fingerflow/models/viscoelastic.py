@@ -38,29 +38,33 @@ def viscoelastic_strain(
     Raises:
         ValueError: stresses of another shape, times that do not rise, a modulus or a rate that is not positive.
     """
-    if sigma_y.shape != sigma_z.shape or not sigma_y.ndim or tuple(time.shape) != (len(sigma_y),):
+    if sigma_y.shape != sigma_z.shape or not sigma_y.ndim or time.shape != sigma_y.shape[:1]:
         raise ValueError(
             f"sigma_y {tuple(sigma_y.shape)}, sigma_z {tuple(sigma_z.shape)}, time {tuple(time.shape)}: give (T, ...), "
             "the same, and (T,)"
         )
-    if not bool((time.diff() > 0).all()):
+    if not (time.diff() > 0).all():
         raise ValueError(f"time has a smallest step of {float(time.diff().min())} s: every step must be positive")
-    for name, value, unit in (("young_modulus", young_modulus, "Pa"), ("rate", rate, "1/s")):
-        if not bool((torch.as_tensor(value) > 0).all()):
-            raise ValueError(f"{name} {torch.as_tensor(value).min().item()} {unit}: give a positive one")
-    across = torch.stack((sigma_y - poisson_ratio * sigma_z, sigma_z - poisson_ratio * sigma_y), 1)
-    elastic = across.double() / young_modulus  # equilibrium strain under each stress
-    rates = torch.as_tensor(rate, dtype=torch.float64)
-    delays = rates * time.double().diff().reshape(-1, *[1] * max(rates.ndim, elastic.ndim - 2))
-    early, late = (share[:, None] for share in _step_weights(delays))
-    left, gained = torch.exp(-delays)[:, None], early * elastic[:-1] + late * elastic[1:]
-    strain = torch.zeros_like(elastic[0])
-    strains = [strain]
-    for decay, added in zip(left, gained, strict=True):
-        strain = decay * strain + added
-        strains.append(strain)
-    along_y, along_z = torch.stack(strains, 1)
-    return along_y, along_z
+    # Time in the last dimension, so that the parameters broadcast with the stress at one time.
+    modulus, rates, ratio = (
+        torch.as_tensor(value, dtype=torch.float64)[..., None] for value in (young_modulus, rate, poisson_ratio)
+    )
+    of_y, of_z = (stress.movedim(0, -1) for stress in (sigma_y, sigma_z))
+    for name, value, unit in (("young_modulus", modulus, "Pa"), ("rate", rates, "1/s")):
+        if not (value > 0).all():
+            raise ValueError(f"{name} {value.min().item()} {unit}: give a positive one")
+    delays = rates * time.double().diff()
+    left, (early, late) = torch.exp(-delays), _step_weights(delays)
+
+    def delayed(elastic: Tensor) -> Tensor:
+        """Return the strain (T, ...), which lags behind the equilibrium strain `elastic` (..., T)."""
+        gained = early * elastic[..., :-1] + late * elastic[..., 1:]
+        strains = [torch.zeros_like(gained.sum(-1))]
+        for decay, added in zip(left.unbind(-1), gained.unbind(-1), strict=True):
+            strains.append(decay * strains[-1] + added)
+        return torch.stack(strains)
+
+    return delayed((of_y - ratio * of_z) / modulus), delayed((of_z - ratio * of_y) / modulus)
 
 
 def _step_weights(delay: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from fingerflow.models.half_space import stress
 
-PLACES = [0.0, 0.1, 0.4999, 0.5, 0.6, 3.0, -70.0]  # in strip widths from the middle
-DEPTHS = [1e-6, 1e-3, 0.1, 1.0, 2.1, 10.0, 300.0]
+PLACES = [0.0, 0.4999, 0.5, 3.0, -70.0]  # in strip widths from the middle
+DEPTHS = [1e-6, 0.1, 1.0, 300.0]
 STRIP = torch.tensor([-0.5, 0.5], dtype=torch.float64)
 ONE, NONE = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
 
@@ -71,7 +71,6 @@ def test_differentiable() -> None:
     ("y", "z", "edges", "pressure", "match"),
     [
         (0.0, 0.0, STRIP, ONE, "z > 0"),
-        (0.0, -1.0, STRIP, ONE, "z > 0"),
         (math.nan, 1.0, STRIP, ONE, "z > 0"),
         (0.0, 1.0, STRIP.flip(0), ONE, "rise"),
         (0.0, 1.0, STRIP, torch.ones(2), "one value a strip"),

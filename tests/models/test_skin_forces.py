@@ -35,7 +35,7 @@ def test_forces_are_minus_the_slopes_of_the_energy(parameters: str, depth: float
     np.testing.assert_allclose(np.stack((xx, zz), 1), stiffness, rtol=1e-5, atol=1e-3)
 
 
-@pytest.mark.parametrize("compression", [-4e-4, 1e-9, 3e-4, 2e-3])
+@pytest.mark.parametrize("compression", [-4e-4, 1e-9, 2e-3])
 def test_a_column_stiffens_exponentially(compression: float) -> None:
     """A column straight above the plate pushes by the quadrature of the stiffness k_t exp(c / c_0), which stays k_t in
     a stretched one.

@@ -10,16 +10,16 @@ from fingerflow.models.viscoelastic import viscoelastic_strain
 E, RATE, NU = 1.1e6, 100.0, 0.4
 
 
-@pytest.mark.parametrize("step", [1e-9, 1e-5, 3e-3, 0.5])
+@pytest.mark.parametrize("step", [1e-9, 3e-3, 0.5])
 def test_a_ramp_of_stress_exactly(step: float) -> None:
     """A ramp sigma_y = c t gives e = c / E (t - tau (1 - exp(-t / tau))) along y and -nu times that across, whatever
-    the step.
+    the step, for each of two moduli of one stress.
     """
-    time = step * torch.arange(9, dtype=torch.float64)
-    along_y, along_z = viscoelastic_strain(5e3 * time, 0 * time, time)
+    time, modulus = step * torch.arange(9, dtype=torch.float64), torch.tensor([2 * E, E])
+    along_y, along_z = viscoelastic_strain(5e3 * time, 0 * time, time, young_modulus=modulus)
     expected = [5e3 / E * _lag(float(t)) for t in time]
-    assert along_y.tolist() == pytest.approx(expected, rel=1e-12, abs=0)
-    assert along_z.tolist() == pytest.approx([-NU * value for value in expected], rel=1e-12, abs=0)
+    assert (2 * along_y[:, 0]).tolist() == pytest.approx(expected, rel=1e-12, abs=0)
+    assert along_z[:, 1].tolist() == pytest.approx([-NU * value for value in expected], rel=1e-12, abs=0)
 
 
 def _lag(time: float) -> float:
@@ -40,8 +40,8 @@ def test_the_corner_is_at_16_hz_and_not_at_100() -> None:
 
 def test_differentiable() -> None:
     time = torch.tensor([0.0, 1e-3, 0.02], dtype=torch.float64)
-    stress = torch.rand(3, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64, requires_grad=True)
-    rate = torch.tensor(1.7, dtype=torch.float64, requires_grad=True)
+    stress = torch.tensor([[2.0, 1.0], [0.3, 1.2], [1.0, 0.1]], dtype=torch.float64, requires_grad=True)
+    rate = torch.tensor([[1.7], [0.9]], dtype=torch.float64, requires_grad=True)
 
     def strain(stress: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
         return viscoelastic_strain(stress, stress**2, time, young_modulus=2.0, rate=100 * rate)[0]

@@ -10,12 +10,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from fingerflow.engines.engine import Array
 from fingerflow.models import observer
 
-Values = NDArray[np.float64]
 AMPLITUDES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
 ALPHA = 0.05
 
@@ -51,12 +50,12 @@ def measured(
     return {"values": metric, "groups": group, "participants": who}
 
 
-def related(seed: int, people: int, own: float = 1.0, effect: float = 0.0) -> tuple[Values, Values, NDArray[np.intp]]:
+def related(seed: int, people: int, own: float = 1.0, effect: float = 0.0) -> tuple[Array, Array, Array]:
     """Return 7 pairs of each participant, correlated by `effect` within and between participants (SD 1, `own`)."""
     draw = np.random.default_rng(seed)
     who = np.repeat(np.arange(people), 7)
 
-    def pair(size: int) -> tuple[Values, Values]:
+    def pair(size: int) -> tuple[Array, Array]:
         first, other = draw.standard_normal((2, size))
         return first, effect * first + (1 - effect**2) ** 0.5 * other
 
@@ -103,7 +102,7 @@ def compared(seed: int, people: int = 8, trials: int = 1) -> dict[str, Any]:
     return {"metric": metric, "answer": answer, "participants": who}
 
 
-def classes(table: dict[str, Any]) -> tuple[Values, Values, tuple[NDArray[Any], NDArray[Any]]]:
+def classes(table: dict[str, Any]) -> tuple[Array, Array, tuple[Array, Array]]:
     """Return the metric of right and of wrong answers in a table of `compared`, and the participants of both."""
     metric, answer, who = table["metric"], table["answer"], table["participants"]
     return metric[answer], metric[~answer], (who[answer], who[~answer])

@@ -1,17 +1,15 @@
 """Tests of d', area under the ROC curve and criterion: values, intervals, permutations, and degenerate input."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from fingerflow.engines.engine import Array
 from fingerflow.models.observer import auc, compare_auc, criterion_for_hits, d_prime, permutation_p, share_above
 
-Values = NDArray[np.float64]
 UNKNOWN = "4 and 0", "0 and 4", "equal within"  # reasons for no value at all, beside those for no interval
-Drawn = tuple[Values, Values, tuple[NDArray[Any], NDArray[Any]]]
+Drawn = tuple[Array, Array, tuple[Array, Array]]
 
 
 def drawn(seed: int, difference: float, participants: int = 20, trials: int = 20) -> Drawn:
