@@ -1,7 +1,6 @@
 """Experiment settings of a stream, read from a scene file by the rules of `schema`."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +8,10 @@ import numpy as np
 
 from fingerflow.engines.bundle import Bundle
 from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.recordings.drawn_region import drawn_mask
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema import scene as scenes
-from fingerflow.schema.region import region_runs
-from fingerflow.schema.scene_tables import Scene
+from fingerflow.schema.scene import Scene, check_scale
 from fingerflow.schema.views import Rectangle, View
 from fingerflow.tracker.frame_tracker import TrackerSettings
 
@@ -39,8 +38,7 @@ def stream_settings(scene: Scene, bundle: Bundle) -> TrackerSettings:
     topography = find_topography(scene)
     region, drawn = np.zeros((bundle.height, bundle.width), dtype=bool), topography.region
     if drawn is not None:
-        for row, first, end in region_runs(asdict(drawn), *region.shape):
-            region[row, first:end] = True
+        region = drawn_mask(drawn, region.shape)
     else:
         (scene.stream.region or Rectangle((0, bundle.height), (0, bundle.width))).crop(region)[...] = True
     return TrackerSettings(
@@ -122,9 +120,11 @@ _PLAYED = {  # settings with a fixed value in a stream, because later frames are
 
 
 def contradictions(scene: Scene, recipe: Mapping[str, Any]) -> list[str]:
-    """Return one sentence for each setting of a scene file that differs from the export recipe of the bundle."""
+    """Return one sentence for each setting of a scene file that differs from the export recipe of the bundle, and for
+    an image scale that is none of a fingertip.
+    """
     decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
-    sentences = []
+    sentences = [*check_scale(scene)]
     for name in sorted(scene.given & decided.keys()):
         table, _, key = name.partition(".")
         value = getattr(getattr(scene, table), key)

@@ -5,13 +5,14 @@
 
 import shutil
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 import fingerflow
 from fingerflow import player
+from fingerflow.engines.engine import Array
 from fingerflow.kernels.library import is_present
 from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS, USABLE
 from tests import small_trials
@@ -19,7 +20,6 @@ from tests import small_trials
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 
 ALONE = [3, 9, 17, 30, 41, 49, 55, 64]  # one of each kind, at an evaluation of the templates, and in full contact
-Frames = np.ndarray[Any, Any]
 
 
 class Small(NamedTuple):
@@ -27,10 +27,10 @@ class Small(NamedTuple):
 
     folder: Path
     bundle: Path
-    frames: Frames
+    frames: Array
     clean: player.StreamResults
 
-    def play(self, frames: Frames, *arguments: str) -> player.StreamResults:
+    def play(self, frames: Array, *arguments: str) -> player.StreamResults:
         np.save(self.folder / "played.npy", frames)
         shutil.rmtree(self.folder / "out", ignore_errors=True)
         options = ["--scene", str(self.folder / "trial" / "scene.toml"), "--source", str(self.folder / "played.npy")]
@@ -50,11 +50,11 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
     return unplayed._replace(clean=unplayed.play(frames))
 
 
-def _status_of(records: Frames) -> dict[int, str]:
+def _status_of(records: Array) -> dict[int, str]:
     return {int(k): FRAME_STATUS[records["frame_status"][k]] for k in np.flatnonzero(records["frame_status"])}
 
 
-def _assert_unknown(records: Frames, places: list[int]) -> None:
+def _assert_unknown(records: Array, places: list[int]) -> None:
     """Assert that the measured values of these frames are NaN, and that the status of each point gives the reason."""
     told = {"time", "latency"}
     for name in records.dtype.names or ():
@@ -64,7 +64,7 @@ def _assert_unknown(records: Frames, places: list[int]) -> None:
     assert not records["in_contact"][places].any()
 
 
-def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -> None:
+def _assert_others_as_before(small: Small, records: Array, places: list[int]) -> None:
     """Assert that all other frames of a press have the values of the clean run.
 
     Areas are equal to the last digit, because the threshold is given and the pictures are the same. Points and fields

@@ -9,9 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import Stream
 from simulated_gentl import Harvester
-from tiny_bundle import frame
+from tiny_bundle import Stream, frame
 
 from fingerflow.errors import PlayerError
 from fingerflow.player.camera_clock import CameraClock

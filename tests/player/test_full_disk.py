@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Stream
+from tiny_bundle import Stream
 
 from fingerflow.player import read_results
 from fingerflow.results import patient_file

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import frame, write_scene
+from tiny_bundle import Stream, frame, write_scene
 
 from fingerflow import player
 from fingerflow.errors import PlayerError
@@ -54,7 +53,7 @@ def test_a_frame_has_the_sample_nearest_in_time() -> None:
     forces.close()
 
 
-@pytest.mark.parametrize(("given", "normal", "tangential"), [((2.0,), 2, np.nan), ((2, -3), 2, 3), ((2, 3, 4), 2, 5)])
+@pytest.mark.parametrize(("given", "normal", "tangential"), [((2.0,), 2, np.nan), ((2, -3), 2, -3), ((2, 3, 4), 2, 5)])
 def test_one_to_three_forces_are_a_sample(given: tuple[float, ...], normal: float, tangential: float) -> None:
     found = parse_sample(1.0, given)
     assert (found.time, found.normal) == (1, normal)
@@ -128,16 +127,20 @@ def test_a_sensor_that_fails_is_read_again_and_is_said(caplog: pytest.LogCapture
     assert "own: no force: cable" in caplog.text
 
 
-def test_a_stream_of_lsl_is_a_sensor() -> None:
+@pytest.mark.parametrize("normal", ["normal_force", "Fz"])
+def test_a_stream_of_lsl_is_a_sensor(normal: str) -> None:
     lsl = pytest.importorskip("pylsl", reason="the package pylsl is not installed: its sensor is not tested")
-    name = f"force-{os.getpid()}"
+    name = f"{normal}-{os.getpid()}"
     info = lsl.StreamInfo(name, "force", 3, lsl.IRREGULAR_RATE, lsl.cf_double64, name)
     described = info.desc().append_child("channels")
-    for label, unit in (("trigger", ""), ("tangential_force", "N"), ("normal_force", "N")):
+    for label, unit in (("trigger", ""), ("tangential_force", "N"), (normal, "N")):
         described.append_child("channel").append_child_value("label", label).append_child_value("unit", unit)
     outlet = lsl.StreamOutlet(info)
+    if normal == "Fz":
+        with pytest.raises(PlayerError, match="tangential_force only"):
+            open_address(SENSORS, "force sensor", f"lsl:{name}")
+        return
     sensor = open_address(SENSORS, "force sensor", f"lsl:{name}")
-    sample = None
     for _ in range(100):
         outlet.push_sample([1.0, 0.5, 2.0])
         sent = time.perf_counter()

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from conftest import Stream
-from tiny_bundle import frame
+from tiny_bundle import Stream, frame
 from typer.testing import CliRunner
 
 import fingerflow

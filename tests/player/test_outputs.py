@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Ended, Stream
-from tiny_bundle import frame
+from tiny_bundle import Ended, Stream, frame
 
 from fingerflow.errors import PlayerError
 from fingerflow.player.camera_clock import unix_now

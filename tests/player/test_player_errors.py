@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
+from tiny_bundle import HEIGHT, WIDTH, Stream, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError
@@ -87,7 +86,7 @@ def test_the_frames_that_count(stream: Stream) -> None:
 
 def test_settings_that_the_bundle_has_decided_otherwise_are_said(stream: Stream) -> None:
     """The log and the results name each setting of the scene that differs from the bundle in one sentence, and no
-    setting that agrees.
+    setting that agrees; and an image scale that is none of a fingertip.
     """
     text = stream.scene.read_text()
     scene_text = """[tracking]
@@ -98,6 +97,7 @@ template = "previous"
 gauge_length_mm = 24.0
 strain = "as_printed"
 """
+    text = text.replace("mm_per_px = 0.5", "mm_per_px = 0.01")
     stream.scene.write_text(text + "median_px = 9\n" + scene_text)
     ended = stream.run(*stream.frames([frame()]))
     said = [
@@ -105,6 +105,8 @@ strain = "as_printed"
         "tracking.points of the scene is 700; the bundle plays with 10",
         "tracking.template of the scene is 'previous'; the bundle plays with 'keyframe'",
         "fields.strain of the scene is 'as_printed'; the bundle plays with 'green_lagrange'",
+        "calibration.mm_per_px = 0.01 makes the contact view 0.96 mm wide, those of fingertips are 2 to 100 mm wide: "
+        "the scale is wrong, and lengths and areas with it; calibrate again",
     ]
     assert ended.code == 0
     assert sorted(ended.results.header["warnings"]) == sorted(said)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
+from tiny_bundle import HEIGHT, WIDTH, Stream, frame, write_bundle
 
 cv2 = pytest.importorskip("cv2")
 

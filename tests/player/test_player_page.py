@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Ended, Stream
-from tiny_bundle import HEIGHT, POINTS, WIDTH, frame, write_scene
+from tiny_bundle import HEIGHT, POINTS, WIDTH, Ended, Stream, frame, write_scene
 
 from fingerflow.cli import app
 from fingerflow.player import page_token

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import POINTS, write_bundle
+from tiny_bundle import POINTS, Stream, write_bundle
 
 from bench.bare_environment import ONNX, make_environment, variables
 from fingerflow import player

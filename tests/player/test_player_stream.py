@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame
+from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, Stream, frame
 
 from fingerflow import player
 from fingerflow.engines.native import NativeEngine

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import frame
+from tiny_bundle import Stream, frame
 
 from fingerflow import player
 from fingerflow.player.benchmark import benchmark

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Stream
-from tiny_bundle import HEIGHT, WIDTH, frame
+from tiny_bundle import HEIGHT, WIDTH, Stream, frame
 
 from fingerflow.player import stream_player as stream_module
 

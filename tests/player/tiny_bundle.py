@@ -1,15 +1,22 @@
-"""A bundle for the compiled library whose frames have known positions and areas.
+"""A bundle for the compiled library, and a stream of it, whose frames have known positions and areas.
 
 The topography view shows ten spots of different strength on a plain ground, one for each point: point k is spot k.
 Points whose spots are absent are lost. Dark pixels of the contact view are in contact: without a median filter each of
 them counts.
 """
 
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 
+from fingerflow import player
 from fingerflow.schema.recipe import ContactCells, GaugeSettings, PointSettings, Recipe, ViewRecipe
 from tests.small_trials import write_library_bundle
 
@@ -82,3 +89,74 @@ def frame(
     contact[:contact_px] = TOUCHED
     views = np.round(ground), contact.reshape(HEIGHT, WIDTH)
     return np.concatenate(views, axis=1).clip(0, 255).astype(np.uint8)
+
+
+class Ended(NamedTuple):
+    """The end of a stream: exit code, summary (empty after an error), the text of stderr and of the log, and the
+    results if there are any.
+    """
+
+    code: int
+    summary: dict[str, Any]
+    said: str
+    results: player.StreamResults
+
+
+class Stream:
+    """Runs `player.main` in a folder of its own."""
+
+    def __init__(
+        self,
+        folder: Path,
+        capsys: pytest.CaptureFixture[str],
+        caplog: pytest.LogCaptureFixture,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        self.folder = folder
+        self.bundle = write_bundle(folder / "bundle")
+        self.scene = write_scene(self.bundle / "scene.toml")
+        self.play: Callable[[list[str]], int] = player.main
+        self._capsys, self._caplog, self._monkeypatch = capsys, caplog, monkeypatch
+        caplog.set_level(logging.INFO)
+
+    def camera(self, make: Callable[[], Any]) -> tuple[str, str]:
+        """Return the command-line arguments of a stream whose camera the function `make` of a test opens."""
+        name = "camera_of_the_test"
+        self._monkeypatch.setitem(sys.modules, name, SimpleNamespace(make=make))
+        return "--camera", f"{name}:make"
+
+    def recorded(self, count: int) -> tuple[str, str]:
+        """Return the arguments for a file of `count` frames, of which frame k has 10 k pixels in contact."""
+        np.save(self.folder / "frames.npy", np.stack([frame(contact_px=10 * k) for k in range(count)]))
+        return "--source", str(self.folder / "frames.npy")
+
+    def frames(self, frames: Iterable[Any]) -> tuple[str, str]:
+        """Return the command-line arguments of a stream whose camera gives `frames` in turn and raises the exceptions
+        among them.
+        """
+        left = iter(frames)
+
+        def grab() -> Any:
+            found = next(left, None)
+            if isinstance(found, Exception):
+                raise found
+            return found
+
+        return self.camera(lambda: grab)
+
+    def run(self, *arguments: str) -> Ended:
+        output = self.folder / "results"
+        given = [str(self.bundle), "--output", str(output), "--threads", "1", *arguments]
+        code = self.play(given if "--page" in arguments else [*given, "--page", "off"])
+        said = self._capsys.readouterr()
+        results: Any = player.read_results(output) if output.exists() else None
+        return Ended(code, json.loads(said.out) if said.out else {}, said.err + self._caplog.text, results)
+
+    def refused(self, *arguments: str) -> str:
+        """Return the text of stderr and of the log of a stream that ends with an error of the user and leaves no
+        results.
+        """
+        ended = self.run(*arguments)
+        assert ended.code == 2
+        assert ended.results is None
+        return ended.said

@@ -1,6 +1,7 @@
 """Fixtures of the tests of the page: a synthetic press of 12 small frames, with and without its result."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from fingerflow import load_scene, process
 from fingerflow.synthetic import write_recording
 from fingerflow.view.preview import all_of_default_stages
+from fingerflow.view.server import Served
 from tests.small_trials import TINY_PRESS
 
 PRESS = replace(TINY_PRESS, n_frames=12, frame_rate=12.0)
@@ -34,3 +36,9 @@ def press(processed: Path, tmp_path: Path) -> Path:
     folder = tmp_path / "press"
     shutil.copytree(processed, folder, ignore=shutil.ignore_patterns("result.h5"))
     return folder
+
+
+@pytest.fixture(scope="module")
+def served(processed: Path) -> Iterator[Served]:
+    with Served(processed / "scene.toml") as found:
+        yield found

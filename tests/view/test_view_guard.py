@@ -3,7 +3,6 @@
 import http.client
 import re
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,12 +13,6 @@ from fingerflow.view.server import Served
 
 Answer = tuple[int, dict[str, str], bytes]
 SLOW = 300  # s, enough for a busy machine
-
-
-@pytest.fixture(scope="module")
-def served(processed: Path) -> Iterator[Served]:
-    with Served(processed / "scene.toml") as found:
-        yield found
 
 
 def ask(served: Served, path: str, method: str = "GET", body: str | None = None, **headers: str) -> Answer:

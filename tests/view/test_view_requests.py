@@ -3,8 +3,6 @@ server.
 """
 
 import json
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from test_view_guard import ask
@@ -31,12 +29,6 @@ VALUES = [
     ["recording.frame_rate", 1e308], ["recording.frame_rate", {"toml": "nan"}], ["forces.file", "a" * 5000],
     ["calibration.file", "."],
 ]  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def served(processed: Path) -> Iterator[Served]:
-    with Served(processed / "scene.toml") as found:
-        yield found
 
 
 @pytest.fixture(scope="module")

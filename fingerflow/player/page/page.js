@@ -223,7 +223,7 @@ function numbers(live) {
     `<div><dt>${name}</dt><dd${bad ? ' class="bad"' : ""}>${value} <small>${unit}</small></dd></div>`).join("");
 }
 
-const signed = (value, digits) => (value < 0 ? "\u2212" : "+") + text(Math.abs(value), digits);
+const signed = (value, digits) => (value < 0 ? "-" : "+") + text(Math.abs(value), digits);
 
 function truth(live) {
   const axes = live.data.ellipse_semi_axes, s = live.scalars;

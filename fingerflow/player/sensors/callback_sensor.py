@@ -30,10 +30,8 @@ class CallbackSensor:
         if forces is None:
             time.sleep(_NONE_NOW)
             return None
-        now = time.perf_counter()
-        return parse_sample(
-            now, [float(force) for force in forces] if isinstance(forces, (tuple, list)) else [float(forces)]
-        )
+        values = forces if isinstance(forces, (tuple, list)) else [forces]
+        return parse_sample(time.perf_counter(), [float(force) for force in values])
 
     def close(self) -> None:
         """Call `close` of the user's function, if it has one."""

@@ -22,14 +22,15 @@ class LslSensor:
         if not streams:
             raise PlayerError(f"no LSL stream has the name {name!r} in this network")
         self._inlet = lsl.StreamInlet(streams[0], processing_flags=lsl.proc_clocksync)
+        self.close = self._inlet.close_stream
         info = self._inlet.info(_FINDING)
         labels = info.get_channel_labels() or []
         units = info.get_channel_units() or []
         named = [labels.index(force) for force in ("normal_force", "tangential_force") if force in labels]
-        self._places = named or list(range(min(3, info.channel_count())))
-        wrong = [
-            units[channel] for channel in self._places if channel < len(units) and units[channel] not in (None, "", "N")
-        ]
+        if named and "normal_force" not in labels:
+            raise PlayerError(f"the LSL stream {name!r} names a tangential_force only; name its normal_force, too")
+        self._places = named or range(min(3, info.channel_count()))
+        wrong = [unit for place, unit in enumerate(units) if place in self._places and unit not in (None, "", "N")]
         if wrong:
             raise PlayerError(f"the LSL stream {name!r} has forces in {wrong[0]}; send them in N")
 
@@ -41,10 +42,6 @@ class LslSensor:
         if sample is None:
             return None
         return parse_sample(time - self._shift, [float(sample[channel]) for channel in self._places])
-
-    def close(self) -> None:
-        """Close the connection to the stream."""
-        self._inlet.close_stream()
 
 
 open_address = LslSensor

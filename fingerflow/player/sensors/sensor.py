@@ -33,8 +33,8 @@ class ForceSensor(Protocol):
 
 
 def parse_sample(time: float, forces: tuple[float, ...] | list[float]) -> ForceSample:
-    """Return the sample at a time, s, of one to three forces in N: normal; normal and tangential; or normal and two
-    tangential components, of which the magnitude is taken.
+    """Return the sample at a time, s, of one to three forces in N: normal; normal and tangential, which keeps its sign;
+    or normal and two tangential components, of which the magnitude is taken.
 
     Raises PlayerError for another number of forces.
     """
@@ -43,4 +43,6 @@ def parse_sample(time: float, forces: tuple[float, ...] | list[float]) -> ForceS
             f"the force sensor gives {len(forces)} numbers; it must give the normal force and up to two tangential ones"
         )
     normal, *tangential = forces
-    return ForceSample(time, normal, math.hypot(*tangential) if tangential else math.nan)
+    if len(tangential) == 2:
+        tangential = [math.hypot(*tangential)]
+    return ForceSample(time, normal, *tangential or [math.nan])
