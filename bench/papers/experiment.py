@@ -120,7 +120,7 @@ class Experiment:
         tables = []
         for names in (dict.fromkeys(CURVES), {source: rate for rate, source in _RATES.items()}):
             series = {name: self.against_force(other or name, FORCE_GRID) for name, other in names.items()}
-            trials = [SimpleNamespace(curves={name: values[k] for name, values in series.items()})
+            trials = [SimpleNamespace(status=MEASURED, curves={name: values[k] for name, values in series.items()})
                       for k in range(len(people))]  # fmt: skip
             rows: Any = list(zip(people, trials, strict=True))
             tables.append(pd.DataFrame(averaged(rows)).replace({"metric": {k: v for k, v in names.items() if v}}))

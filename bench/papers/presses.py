@@ -112,7 +112,7 @@ class PressStudy:
 
     def values(self, metric: str) -> Values:
         """Return a metric of each measured press, in the unit of the table."""
-        return np.asarray(self.measured[metric].to_numpy(float))
+        return self.measured[metric].to_numpy(float)
 
     def column_of_sample(self, column: str) -> Values:
         """Return a column of the table for the trials in `sample`, in their order."""
