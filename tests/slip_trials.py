@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.engines.engine import Array
 from fingerflow.models.partial_slip.evolution import critical_load_ratio, critical_stuck_area, stuck_area
-
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -17,9 +15,9 @@ class SimulatedTrial:
     `critical_stuck_area` is the d^2 at which the area collapses, 0 if it fades.
     """
 
-    time: Values
-    load_ratio: Values
-    stuck_area: Values
+    time: Array
+    load_ratio: Array
+    stuck_area: Array
     mu_s: float
     mu_k: float
     critical_stuck_area: float

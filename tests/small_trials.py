@@ -13,6 +13,7 @@ import xarray as xr
 
 from fingerflow import load_scene
 from fingerflow.engines.check import expected_of
+from fingerflow.engines.engine import Array
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
 from fingerflow.export.write_bundle import write_facts
@@ -20,8 +21,6 @@ from fingerflow.schema.recipe import GRAPHS, Recipe, parse_recipe
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.scenes import SyntheticScene
-
-Frame = np.ndarray[Any, Any]
 
 #: 8 frames of 96 x 240 px: contact in the last six.
 TINY_PRESS = Press(
@@ -49,7 +48,7 @@ TRIALS: dict[str, Press | Slide] = {
 }
 
 
-def turned(frames: Frame, degrees: float) -> Frame:
+def turned(frames: Array, degrees: float) -> Array:
     """Return frames (F, H, W) of a camera that turns to and fro, by `degrees` at most."""
     result = np.empty_like(frames)
     for k, frame in enumerate(frames):
@@ -159,7 +158,7 @@ def scene_beside(
     *,
     forces: bool = True,
     stream: bool = True,
-    **arrays: Frame,
+    **arrays: Array,
 ) -> Scene:
     """Write the scene of a recording to another folder, with texts replaced, and with other arrays in place of its
     files; return the scene.
@@ -187,23 +186,23 @@ def beside(bundle: Path) -> tuple[Path, Path]:
     return bundle.with_name(f"{bundle.name}.toml"), bundle.with_name(f"{bundle.name}.json")
 
 
-def _torn(frame: Frame) -> Frame:
+def _torn(frame: Array) -> Array:
     half = len(frame) // 2
     return np.concatenate([frame[:half], np.roll(frame[half:], 25, axis=1)])
 
 
-def _without_lines(frame: Frame) -> Frame:
+def _without_lines(frame: Array) -> Array:
     return np.where((np.arange(len(frame)) // 10 % 20 == 9)[:, None], 0, frame).astype(frame.dtype)
 
 
-def dim_contact(frame: Frame) -> Frame:
+def dim_contact(frame: Array) -> Array:
     """Return the frame with the contact view, on the right, at 70 % of its light."""
     middle = frame.shape[1] // 2
     return np.concatenate([frame[:, :middle], (0.7 * frame[:, middle:]).astype(frame.dtype)], axis=1)
 
 
 #: Functions that spoil a frame (H, W) of 8 bits, and the status of the spoiled frame.
-SPOILED: dict[str, tuple[Callable[[Frame], Frame], str]] = {
+SPOILED: dict[str, tuple[Callable[[Array], Array], str]] = {
     "black": (lambda frame: np.full_like(frame, 8), "dark"),
     "saturated": (lambda frame: np.full_like(frame, 255), "saturated"),
     "dim contact view": (dim_contact, "jumps_and_returns"),

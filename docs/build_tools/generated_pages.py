@@ -11,7 +11,7 @@ from measured_tables import tables
 from bench.papers.page import read_results
 from bench.record import RESULTS, newest_suites
 from bench.rows import as_text
-from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
+from fingerflow.pipeline.dictionary import dictionary, unit_note
 from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SYMBOLS
@@ -46,19 +46,19 @@ def outputs_page() -> str:
         "",
         *_symbols(),
     ]
-    stages: dict[str, list[DictionaryEntry]] = {}
+    stages: dict[str, list[dict[str, Any]]] = {}
     for entry in dictionary():
-        stages.setdefault(entry.stage, []).append(entry)
+        stages.setdefault(entry["stage"], []).append(entry)
     for stage, entries in stages.items():
         lines += [f"## {stage.replace('_', ' ').capitalize()}", ""]
         for entry in entries:
             lines += [
-                f"({entry.stage}-{entry.name})=",
-                f"### {_cell(entry.name)}",
+                f"({entry['stage']}-{entry['name']})=",
+                f"### {_cell(entry['name'])}",
                 "",
-                _cell(entry.definition) + ".",
+                _cell(entry["definition"]) + ".",
                 "",
-                f"```text\n{entry.equation}\n```",
+                f"```text\n{entry['equation']}\n```",
                 "",
                 _facts(entry),
                 "",
@@ -66,14 +66,14 @@ def outputs_page() -> str:
     return "\n".join(lines)
 
 
-def _facts(entry: DictionaryEntry) -> str:
-    facts = [f"Unit `{entry.units}`{entry.unit_note}", f"dimensions `({', '.join(entry.dimensions)})`"]
-    if entry.needs:
-        facts.append("needs " + ", ".join(f"`{key}`" for key in entry.needs))
-    if not entry.unasked:
+def _facts(entry: dict[str, Any]) -> str:
+    facts = [f"Unit `{entry['units']}`{unit_note(entry)}", f"dimensions `({', '.join(entry['dimensions'])})`"]
+    if entry["needs"]:
+        facts.append("needs " + ", ".join(f"`{key}`" for key in entry["needs"]))
+    if not entry["unasked"]:
         facts.append("only where it is named")
-    if entry.flags:
-        facts.append("values " + ", ".join(f"{value} `{meaning}`" for value, meaning in enumerate(entry.flags)))
+    if entry["flags"]:
+        facts.append("values " + ", ".join(f"{value} `{meaning}`" for value, meaning in enumerate(entry["flags"])))
     return "; ".join(facts) + "."
 
 

@@ -28,7 +28,7 @@ Width = Annotated[
 ]
 
 
-def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
+def run_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
     """Run `fingerflow.process` on a scene for the variables `outputs`, all for None, with a progress bar unless
     `quiet`; torch is imported only here.
     """

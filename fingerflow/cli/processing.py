@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, scene_in, tell
+from fingerflow.cli.app import AsJson, Overwrite, app, run_scene, scene_in, tell
 from fingerflow.errors import FingerflowError
 
 
@@ -53,7 +53,7 @@ def process(
         scene = scene_of(earlier)
     path = output or scene.parent / "result.h5"
     loaded = scene_in(scene)
-    result = process_scene(
+    result = run_scene(
         loaded, variables, quiet=as_json, device=device, engine=engine, to=path, overwrite=overwrite, earlier=earlier
     )
     warnings = json.loads(result.attrs["warnings"])
@@ -75,9 +75,9 @@ def outputs(
     as_json: AsJson = False,
 ) -> None:
     """List the variables that can be computed: unit, dimensions, stage, definition and equation of each."""
-    from fingerflow.pipeline.dictionary import dictionary
+    from fingerflow.pipeline.dictionary import as_text, dictionary
 
-    rows = [row for row in dictionary() if not names or any(name in row.name for name in names)]
+    rows = [row for row in dictionary() if not names or any(name in row["name"] for name in names)]
     if not rows:
         raise FingerflowError(f"no variable is called {' or '.join(names or ())}; `fingerflow outputs` lists all")
-    tell([row._asdict() for row in rows], "\n".join(map(str, rows)), as_json)
+    tell(rows, "\n".join(map(as_text, rows)), as_json)

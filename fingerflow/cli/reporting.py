@@ -6,18 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import (
-    AsJson,
-    Format,
-    Overwrite,
-    Width,
-    app,
-    figure_files,
-    process_scene,
-    result_in,
-    scene_in,
-    tell,
-)
+from fingerflow.cli.app import AsJson, Format, Overwrite, Width, app, figure_files, result_in, run_scene, scene_in, tell
 from fingerflow.errors import FingerflowError
 
 
@@ -62,7 +51,7 @@ def noise_floor(
 
     settings = scene_in(scene)
     still = still_scene(settings, frames.resolve())
-    measured = process_scene(still, [*MEASURED, "displacement_std"], quiet=as_json)
+    measured = run_scene(still, [*MEASURED, "displacement_std"], quiet=as_json)
     floor = floor_of(measured, still)
     for warning in moved(measured, floor):
         typer.echo(f"warning: {frames}: {warning}", err=True)
@@ -97,7 +86,7 @@ def slip(
             result = load_result(path) if is_result(path) else None
             if result is None or "stuck_ratio" not in result:
                 names = ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"]
-                result = process_scene(scene_in(path), names, quiet=True)
+                result = run_scene(scene_in(path), names, quiet=True)
         except FingerflowError as error:
             failed += 1
             typer.echo(f"{path}: not judged: {error}")

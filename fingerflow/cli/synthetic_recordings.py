@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fingerflow.cli.app import AsJson, app, process_scene, tell
+from fingerflow.cli.app import AsJson, app, run_scene, tell
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.unfinished import unfinished
 
@@ -31,7 +31,7 @@ def demo(
         _remove_demo(folder)
     write_recording(folder, Press())
     scene = load_scene(folder / "scene.toml")
-    result = process_scene(scene, None, quiet=as_json)
+    result = run_scene(scene, None, quiet=as_json)
     save_result(result, folder / "result.h5")
     rows = compare(result, rebuild_scene(folder))
     report = write_report(result, scene, folder, rows)

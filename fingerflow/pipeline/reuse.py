@@ -20,9 +20,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.plan import Plan
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
+from fingerflow.pipeline.stages.preparation.recording_files import files_of
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
-from fingerflow.recordings.frames.images import list_images
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.store import Store
 from fingerflow.schema.text_file import check_file
@@ -32,7 +32,6 @@ from fingerflow.schema.text_file import check_file
 STAGES, TAKEN_OVER = "stages", "taken_over"
 _TIMES, _MASK = "recording.times", ".region.mask"
 _FILES = ("background.frames", "background.dark", "forces.file")
-_IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files
 _CODE = (
     *("engines", "export", "graphs", "kernels", "models", "ops", "pipeline/stages", "recordings", "results"),
     *("schema", "tracker"),
@@ -194,15 +193,7 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
 
 def _written(path: Path) -> str:
     """Return a digest of the files of a recording, of which "::" names a member."""
-    return digest_of_bytes(content(files_of(Path(str(path).partition("::")[0]))))
-
-
-def files_of(file: Path) -> list[Path]:
-    """Return the files of a recording: the images of a folder, both files of an MRAW recording, or the file itself."""
-    if file.is_dir():
-        return sorted(list_images(file))
-    beside = file.parent.iterdir() if file.suffix.lower() in _IN_TWO else ()
-    return sorted(path for path in beside if path.stem == file.stem and path.suffix.lower() in _IN_TWO) or [file]
+    return digest_of_bytes(content(files_of(path)))
 
 
 def content(files: Sequence[Path]) -> Iterator[bytes]:

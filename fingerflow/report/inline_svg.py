@@ -37,7 +37,8 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     settle(figure)
     data = io.StringIO()
     figure.set_dpi(_RASTER_DPI)
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+    # Readers copy numbers to where U+2212 is no minus.
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "axes.unicode_minus": False}):
         # `savefig` would draw the figure twice, the first time to settle the layout.
         FigureCanvasSVG(figure).print_svg(data, metadata=_NO_METADATA)  # type: ignore[no-untyped-call]
     text = data.getvalue()

@@ -161,7 +161,7 @@ def write_report(
     make = _Figures(result, folder / "figures", figure_files, overwrite, brief)
     with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
         sections = _sections(make, scene, frames)
-    seconds = json.loads(result.attrs["stage_seconds"])
+    seconds = json.loads(result.attrs.get("stage_seconds", "{}"))
     parts = files(__package__)
     curves = {
         figure.name: figure.curves

@@ -70,12 +70,8 @@ def layers_of_result(path: str) -> list[Layer]:
         valid = np.isfinite(features[heading])
         rows, features = rows[valid], {name: values[valid] for name, values in features.items()}
         end = float(np.quantile(np.abs(features[heading]), _COLOURED)) if valid.any() else 1.0
-        points |= {
-            "name": heading,
-            "face_color": heading,
-            "face_colormap": DIVERGING,
-            "face_contrast_limits": (-end, end),
-        }
+        points |= {"name": heading, "face_color": heading}
+        points |= {"face_colormap": DIVERGING, "face_contrast_limits": (-end, end)}
     layers.append((rows[:, 1:4], {**points, "features": features}, "points"))
     return layers
 

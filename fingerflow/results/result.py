@@ -16,6 +16,7 @@ from fingerflow.recordings.guard.file_checks import reading
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.free_space import check_write
 from fingerflow.results.store import indexed_by_time
+from fingerflow.results.stream_folder import MASKS
 from fingerflow.schema.text_file import check_file
 
 _OF_NETCDF = {
@@ -92,6 +93,8 @@ def open_own(path: Path) -> xr.Dataset:
     try:
         store: dict[str, Any] = {"engine": "zarr", "consolidated": False} if path.suffix == ".zarr" else {}
         result = xr.open_dataset(path, **{"engine": "h5netcdf", **store})
+        masks = [name for name in MASKS if name in result and result[name].dtype != bool]
+        result.update({name: result[name].astype(bool) for name in masks})
     except Exception as error:  # a damaged file may raise any exception
         raise FingerflowError(
             f"{path} cannot be read as a result ({first_line(error)}); run `fingerflow process` again"

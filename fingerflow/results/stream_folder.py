@@ -21,12 +21,14 @@ from fingerflow.results.patient_file import PatientFile
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.schema.variable_record import LABELS
-from fingerflow.schema.variables import FRAME, shown_unit
+from fingerflow.schema.variables import FRAME, VARIABLES, shown_unit
 
 Array = NDArray[Any]
 RESULTS_FORMAT = 2
 log = logging.getLogger("fingerflow.results")
 _AGAIN = "name the results folder of a stream, or copy it again"
+#: Variables that are truth values, and numbers in files from before December 2026, with their data type.
+MASKS = {name: "?" for name, variable in VARIABLES.items() if variable.dtype == "?"}
 _AT_ONCE = 1 << 13  # bytes of records written together, which are lost at most if the process is killed
 
 
@@ -53,7 +55,7 @@ def read_results(folder: str | Path) -> StreamResults:
                 f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}; use the player "
                 "of the bundle that wrote them"
             )
-        dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
+        dtype = np.dtype([(f["name"], MASKS.get(f["name"], f["dtype"]), tuple(f["shape"])) for f in header["fields"]])
         if lacking := {"frame", "time"} - set(dtype.names or ()):
             raise ValueError(f"its records have no {' and no '.join(sorted(lacking))}")
         for field in header["fields"]:

@@ -6,21 +6,19 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.lens import Geometry
 from fingerflow.results.store import labelled
-from fingerflow.results.stream_folder import StreamResults, read_results
-from fingerflow.schema.scene_tables import CalibrationSettings
+from fingerflow.results.stream_folder import Array, StreamResults, read_results
+from fingerflow.schema.scene_tables import CalibrationSettings, ContactSizes
 from fingerflow.schema.variables import CONTACT, DISPLACEMENT, FIELDS, FRAME_CHECK, STREAM, TRACKING, by_name
 from fingerflow.schema.views import Rectangle
 
-Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, DISPLACEMENT, FIELDS, STREAM)
+_TRACKED = 0  # value of `status` for a tracked point
 # Fields that depend on the gauge length.
 _WITH_GAUGE = "divergence", "divergence_std", "curl", "curl_std", "median_divergence", "median_curl", "median_strain"
-_TRACKED = 0  # value of `status` for a tracked point
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
@@ -89,6 +87,9 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
             # A quotient with the divisor 0 is NaN or infinite, without a warning.
             with np.errstate(divide="ignore", invalid="ignore"):
                 arrays[name] = variable.formula(*(arrays[source] for source in variable.of))
+            if name == "real_contact_area_std":
+                share = ContactSizes(header["recipe"]["contact"]["median_px"]).rounded_share(header["mm_per_px"])
+                arrays[name] = np.hypot(arrays[name], share * arrays["real_contact_area"])
     return arrays
 
 
@@ -105,7 +106,6 @@ def _about(header: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
         "settings": json.dumps(header["recipe"]),
         "strain_measure": "green_lagrange",
         "warnings": json.dumps([*header["warnings"], *warnings]),
-        "stage_seconds": json.dumps({}),
         "mm_per_px": header["mm_per_px"],
         "topography_to_contact": json.dumps(header["topography_to_contact"]),
         "frames": header["source"],

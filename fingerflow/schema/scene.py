@@ -5,7 +5,7 @@ and remedy.
 import json
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from fingerflow.schema.scene_tables import SCENE, SETTINGS_FORMAT, VIEW
 from fingerflow.schema.scene_tables import Scene as Scene
 from fingerflow.schema.scene_tables import Views as Views
 from fingerflow.schema.text_file import read_text
+
+_VIEW_MM = (2.0, 100.0)  # mm, least and largest side of a view of a fingertip
 
 
 def load_scene(path: str | Path, reader: Reader = "process") -> Scene:
@@ -134,3 +136,14 @@ def toml_remedy(text: str, error: Exception) -> str:
     match = re.search(r"at line (\d+)", str(error))
     line = text.splitlines()[int(match[1]) - 1] if match else ""
     return next((remedy for slip, remedy in _SLIPS.items() if re.search(slip, line)), "correct it there")
+
+
+def check_scale(scene: Scene) -> Iterator[str]:
+    """Yield a warning if the image scale makes the contact view far narrower or wider than any of a fingertip."""
+    scale, (least, most) = scene.calibration.mm_per_px, _VIEW_MM
+    width = scale * max(scene.views.contact.shape)
+    if not least <= width <= most:
+        yield (
+            f"calibration.mm_per_px = {scale:g} makes the contact view {width:.2g} mm wide, those of fingertips are "
+            f"{least:g} to {most:g} mm wide: the scale is wrong, and lengths and areas with it; calibrate again"
+        )

@@ -7,7 +7,7 @@ moment. `_std` is its standard deviation.
 from collections.abc import Iterator
 from dataclasses import replace
 
-from fingerflow.schema.variable_record import MICROMETRE, Variable
+from fingerflow.schema.variable_record import MICROMETRE, Variable, with_deviation
 from fingerflow.schema.variables import VARIABLES
 
 #: Moments of a trial, with their definitions in `MOMENTS`.
@@ -35,20 +35,16 @@ def _at_moments(
         largest: whether the column without a suffix is the largest value of the trial, else the value at the maximum.
         label: on axes and in tables; "" for the name in words.
     """
-    source, has_std = VARIABLES[variable], f"{variable}_std" in VARIABLES
+    source = VARIABLES[variable]
 
     def column(name: str, definition: str, label: str = "") -> Variable:
         return Variable(name, _TRIAL, source.units, definition, shown_in=source.shown_in, of=(variable,), label=label)
 
-    yield column(name, f"{definition}, {_LARGEST if largest else MOMENTS[AT_MAX]}", label)
-    if has_std:
-        yield column(f"{name}_std", f"standard deviation of {name}")
-    for moment, when in MOMENTS.items():
-        if moment == AT_MAX and not largest:
-            continue
-        yield column(f"{name}_{moment}", f"{definition}, {when}")
-        if has_std:
-            yield column(f"{name}_{moment}_std", f"standard deviation of {name}_{moment}")
+    columns = [column(name, f"{definition}, {_LARGEST if largest else MOMENTS[AT_MAX]}", label)]
+    moments = {moment: when for moment, when in MOMENTS.items() if largest or moment != AT_MAX}
+    columns += [column(f"{name}_{moment}", f"{definition}, {when}") for moment, when in moments.items()]
+    for value in columns:
+        yield from with_deviation(value, of=value.of) if f"{variable}_std" in VARIABLES else (value,)
 
 
 _QUANTITIES = tuple(tuple(columns) for columns in (
@@ -87,31 +83,26 @@ _OF_TRIAL = (
     Variable("friction", _TRIAL, "1",
              "median T/N where no skin sticks any more; nothing where the finger did not slide"),
     Variable("friction_force", _TRIAL, "N", "median normal force there", label="normal force of the slide"),
-    Variable("contact_exponent", _TRIAL, "1",
-             "n of gross contact area = k N^n from a tenth of the largest force up to it, areas over 3 mm² (Dzidek et "
-             "al. 2017; 2/3 of a sphere, Hertz)"),
-    Variable("contact_exponent_std", _TRIAL, "1", "standard deviation of contact_exponent, leaving out each tenth"),
-    Variable("contact_time_constant", _TRIAL, "s",
-             "τ of real contact area = a + b exp(−t/τ) while the normal force stays within 5 % of its largest (Dzidek "
-             "et al. 2017); nothing where it does not show"),
-    Variable("contact_time_constant_std", _TRIAL, "s", "standard deviation of contact_time_constant, by the residuals"),
-    Variable("unloading_area_ratio", _TRIAL, "1",
-             "gross contact area at half of the largest force, when it last falls through it over when it first rises "
-             "to it"),
-    Variable("unloading_area_ratio_std", _TRIAL, "1", "standard deviation of unloading_area_ratio, areas independent"),
-    Variable("full_slip_load_ratio", _TRIAL, "1", "T/N just before the last skin slips"),
-    Variable("full_slip_load_ratio_std", _TRIAL, "1", "its noise from frame to frame"),
-    Variable("full_slip_time", _TRIAL, "s",
-             "from where T/N is last under a twentieth of its value at full slip to where the last skin slips"),
-    Variable("full_slip_time_std", _TRIAL, "s", "standard deviation of full_slip_time, by noise of d² and by frames"),
-    Variable("full_slip_displacement", _TRIAL, "mm", "median displacement of the skin in contact over that time",
-             shown_in=MICROMETRE),
-    Variable("full_slip_displacement_std", _TRIAL, "mm", "standard deviation of full_slip_displacement, by that of the "
-             "time", shown_in=MICROMETRE),
-    Variable("tangential_stiffness", _TRIAL, "N/mm",
-             "slope of the tangential force over the position of the actuator, from a twentieth of T/N at full slip to "
-             "where d² first falls under 0.9: skin and bone in series (Nakazawa et al. 2000)"),
-    Variable("tangential_stiffness_std", _TRIAL, "N/mm", "standard deviation of tangential_stiffness, by residuals"),
+    *with_deviation(Variable("contact_exponent", _TRIAL, "1",
+        "n of gross contact area = k N^n from a tenth of the largest force up to it, areas over 3 mm² (Dzidek et al. "
+        "2017; 2/3 of a sphere, Hertz)"), note=", leaving out each tenth"),
+    *with_deviation(Variable("contact_time_constant", _TRIAL, "s",
+        "τ of real contact area = a + b exp(−t/τ) while the normal force stays within 5 % of its largest (Dzidek et "
+        "al. 2017); nothing where it does not show"), note=", by the residuals"),
+    *with_deviation(Variable("unloading_area_ratio", _TRIAL, "1",
+        "gross contact area at half of the largest force, when it last falls through it over when it first rises to "
+        "it"), note=", areas independent"),
+    *with_deviation(Variable("full_slip_load_ratio", _TRIAL, "1", "T/N just before the last skin slips"),
+        note=", by its noise from frame to frame"),
+    *with_deviation(Variable("full_slip_time", _TRIAL, "s",
+        "from where T/N is last under a twentieth of its value at full slip to where the last skin slips"),
+        note=", by noise of d² and by frames"),
+    *with_deviation(Variable("full_slip_displacement", _TRIAL, "mm",
+        "median displacement of the skin in contact over that time", shown_in=MICROMETRE),
+        note=", by that of the time"),
+    *with_deviation(Variable("tangential_stiffness", _TRIAL, "N/mm",
+        "slope of the tangential force over the position of the actuator, from a twentieth of T/N at full slip to "
+        "where d² first falls under 0.9: skin and bone in series (Nakazawa et al. 2000)"), note=", by residuals"),
     Variable("longest_axis_ratio", _TRIAL, "1",
              "major over minor axis of the gross contact at its maximum: near 1 the directions along and across are "
              "chance"),
@@ -146,7 +137,7 @@ DIFFERENCES: dict[str, Variable] = {
     f"{name}{DIFFERENCE}": replace(
         NUMBERS[name], name=f"{name}{DIFFERENCE}", long_name=f"{NUMBERS[name].long_name}; less that of the reference"
     )
-    for name in (*(column.name for column in _OF_TRIAL), *AT_MOMENTS)
+    for name in (*(column.name for column in _OF_TRIAL if not column.name.endswith("_std")), *AT_MOMENTS)
 }
 #: Columns of the table of trials that are not numeric.
 FACTS: dict[str, Variable] = {

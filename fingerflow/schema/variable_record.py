@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 #: Labels along dimensions.
@@ -123,3 +123,19 @@ class Variable:
         if self.flags:
             flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
         return {"units": self.units, "long_name": self.long_name, **flags}
+
+
+def with_deviation(variable: Variable, equation: str = "", note: str = "", **more: Any) -> tuple[Variable, Variable]:
+    """Return a variable and its standard deviation, which has the same dimensions and unit, and its own equation.
+
+    A `note` continues the definition of the deviation; `more` are its `formula` and `of`.
+    """
+    deviation = replace(
+        variable,
+        name=f"{variable.name}_std",
+        long_name=f"standard deviation of the {variable.words}{note}",
+        equation=equation,
+        label=f"standard deviation of {variable.label}" if variable.label else "",
+        **{"formula": None, "of": (), **more},
+    )
+    return variable, deviation

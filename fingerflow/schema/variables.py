@@ -17,6 +17,7 @@ from fingerflow.schema.variable_record import (
     UM_PER_MM_S,
     ShownUnit,
     Variable,
+    with_deviation,
 )
 
 #: Symbols used in the equations.
@@ -30,6 +31,7 @@ depth_mm.
 
 FRAME, POINT, FRAME_POINT, TRIANGLE = ("frame",), ("point",), ("frame", "point"), ("frame", "triangle")
 CELLS = ("frame", "cell_row", "cell_column")
+RIDGE_MM = 0.45  # usual distance between ridges
 
 _STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
 _FIELD_STD_EQUATION = (
@@ -50,7 +52,6 @@ _AREA_STD_EQUATION = (
     "d² = (rim/2)² + ((1 − κ)/(2κ))²/3 + √N/(6 N²), rim the share of a border 0.06 mm wide, κ the known share, N points"
 )
 _MEDIAN = "over the area of the gross contact"
-_ERROR = "standard deviation of the"
 _RATE_EQUATION = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
 _RATE_STD_EQUATION = "σ² = Σ w² σᵢ², w the weights of that slope, σᵢ the deviations of the frames"
 _STRAIN_EQUATION = (
@@ -88,7 +89,7 @@ def _gross_area_std(semi_axes: Any, real_area: Any, gross_area: Any, threshold: 
     """
     around = pi * (2 * (semi_axes**2).sum(-1)) ** 0.5
     sparse = 4 * pi * gross_area * sparse_border_mm(real_area, gross_area) ** 2
-    deviation = ((0.011**2 * around + 0.06**2 * 0.45) * around + 0.3**2 * _small(semi_axes) + sparse) ** 0.5
+    deviation = ((0.011**2 * around + 0.06**2 * RIDGE_MM) * around + 0.3**2 * _small(semi_axes) + sparse) ** 0.5
     unseen = (real_area == 0) & (threshold != threshold)
     for value, seen in ((0.15, real_area > 0), (0.04, real_area == 0), (0.2, unseen)):
         deviation[seen & (semi_axes != semi_axes).any(-1)] = value
@@ -170,43 +171,38 @@ LOADING = (
 CONTACT = (
     Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact",
         equation="Otsu's threshold of 1 − (I − D)/(I₀ − D), or contact.threshold"),
-    Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
+    *with_deviation(Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
         equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px"),
-    Variable("real_contact_area_std", FRAME, "mm2", "standard deviation of the real contact area, shared by frames",
-        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges; 0.1 mm² if unseen, "
-        "all of the area below 0.4 mm² of gross contact; recorded (m − 3)² s²/0.45 mm² of it for a median of m px",
-        formula=_real_area_std, of=("real_contact_area", "gross_contact_area", "contact_threshold")),
-    Variable("gross_contact_area", FRAME, "mm2",
+        "σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges; 0.1 mm² if unseen, "
+        "all of the area below 0.4 mm² of gross contact; (m − 3)² s²/0.45 mm² of it for a median of m > 3 px; recorded "
+        "the real contact that lies beside the gross one where that is largest",
+        ", shared by frames", formula=_real_area_std,
+        of=("real_contact_area", "gross_contact_area", "contact_threshold")),
+    *with_deviation(Variable("gross_contact_area", FRAME, "mm2",
         "apparent (gross) contact area, that of the region which the contact spans",
         equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),
-    Variable("gross_contact_area_std", FRAME, "mm2",
-        "standard deviation of the gross contact area, by the ridge spacing",
-        equation="σ² = (b p)² + c² s p + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
+        "σ² = (b p)² + c² s p + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
         "ellipse, b = 0.011 mm of the whole border, c = 0.06 mm of each piece s = 0.45 mm, a ridge spacing, d = 0.3 "
         "mm² below three ridges; 0.15 mm² without ellipse, 0.04 mm² without real area, 0.2 mm² without threshold; plus "
         "4 π gross faint_rim_mm², live 0.15 mm of it where ridges cover less than 17 % of the contact, 0 from 23 % on",
-        formula=_gross_area_std,
+        ", by the ridge spacing", formula=_gross_area_std,
         of=("ellipse_semi_axes", "real_contact_area", "gross_contact_area", "contact_threshold")),
-    Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
+    *with_deviation(Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
         equation="real_contact_area / gross_contact_area", formula=_ratio,
-        of=("real_contact_area", "gross_contact_area")),
-    Variable("contact_area_ratio_std", FRAME, "1", "standard deviation of contact_area_ratio",
-        equation="√(σ²(real) + ratio² σ²(gross)) / gross_contact_area", formula=_ratio_std,
+        of=("real_contact_area", "gross_contact_area")), "√(σ²(real) + ratio² σ²(gross)) / gross_contact_area",
+        formula=_ratio_std,
         of=("real_contact_area", "real_contact_area_std", "gross_contact_area", "gross_contact_area_std")),
-    Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
+    *with_deviation(Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
         equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse"),
-    Variable("ellipse_center_std", ("frame", "xy"), "mm", "standard deviation of ellipse_center",
-        equation="√((0.028 mm)² + (0.035 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴)), and faint_rim_mm",
-        formula=_ellipse_std, of=("ellipse_center", "ellipse_semi_axes")),
-    Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
+        "√((0.028 mm)² + (0.035 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴)), and faint_rim_mm", formula=_ellipse_std,
+        of=("ellipse_center", "ellipse_semi_axes")),
+    *with_deviation(Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
         equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),
-    Variable("ellipse_semi_axes_std", ("frame", "axis"), "mm", "standard deviation of ellipse_semi_axes",
-        equation="√((0.028 mm)² + (0.12 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴)), and faint_rim_mm",
-        formula=_ellipse_std, of=("ellipse_semi_axes", "ellipse_semi_axes", "real_contact_area", "gross_contact_area")),
-    Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
+        "√((0.028 mm)² + (0.12 mm)²/(1 + (π a₁ a₂ / 1.5 mm²)⁴)), and faint_rim_mm", formula=_ellipse_std,
+        of=("ellipse_semi_axes", "ellipse_semi_axes", "real_contact_area", "gross_contact_area")),
+    *with_deviation(Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
         equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse"),
-    Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
-        equation="1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
+        "1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
     Variable("gross_contact_region", CELLS, "1", "whether the gross contact covers a cell of the contact view", "?",
         equation="1 in cells of the gross contact", unasked=False),
 )
@@ -302,16 +298,14 @@ DISPLACEMENT = (
         equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2 + Φ(−d/b) (|u| min(1, b/c))²/2), the last of "
         "points at a depth d below 3 b in the first frame, b = 0.06 mm, that have moved inwards by c since",
         shown_in=MICROMETRE),
-    Variable("global_displacement_vector", ("frame", "xy"), "mm",
+    *with_deviation(Variable("global_displacement_vector", ("frame", "xy"), "mm",
         f"median displacement {SINCE} {_MEDIAN}, by component",
         equation="(median u, median v) over the area, each part with the u of the nearest point within half of "
         "fields.gauge_length_mm; NaN where less than 0.85 is known", shown_in=MICROMETRE, label="median displacement"),
-    Variable("global_displacement_vector_std", ("frame", "xy"), "mm", f"{_ERROR} global_displacement_vector",
-        equation=_AREA_STD_EQUATION, shown_in=MICROMETRE),
-    Variable("global_displacement", FRAME, "mm", "length of the median displacement",
+        _AREA_STD_EQUATION),
+    *with_deviation(Variable("global_displacement", FRAME, "mm", "length of the median displacement",
         equation="|global_displacement_vector|", shown_in=MICROMETRE, label="median displacement"),
-    Variable("global_displacement_std", FRAME, "mm", f"{_ERROR} length of the median displacement",
-        equation="that of the component along global_displacement_vector", shown_in=MICROMETRE),
+        "that of the component along global_displacement_vector"),
     Variable("printed_global_displacement", FRAME, "mm",
         "length of the median displacement over the points, as the paper has it: points crowd where skin has texture",
         equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),
@@ -322,108 +316,88 @@ _ALONE = (
     "share that is not known, and points that moved in"
 )
 FIELDS = (
-    Variable("divergence", FRAME_POINT, "1",
+    *with_deviation(Variable("divergence", FRAME_POINT, "1",
         "stretch (+) or compression (-) of the skin since each point touched, or since the chosen reference", "f4",
-        equation="u_x + v_y, the divergence of the displacement", shown_in=UM_PER_MM),
-    Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4", equation="v_x − u_y",
-        shown_in=UM_PER_MM),
-    Variable("shear", ("frame", "point", "shear_component"), "1",
+        equation="u_x + v_y, the divergence of the displacement", shown_in=UM_PER_MM), _FIELD_STD_EQUATION),
+    *with_deviation(Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4",
+        equation="v_x − u_y", shown_in=UM_PER_MM), _FIELD_STD_EQUATION),
+    *with_deviation(Variable("shear", ("frame", "point", "shear_component"), "1",
         "shear of the displacement: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals; with the global "
         "displacement, divergence and curl the decomposition of Willemet et al. 2021, figure S6", "f4",
         equation="(u_x − v_y, u_y + v_x)", shown_in=UM_PER_MM, unasked=False),
-    Variable("shear_std", ("frame", "point", "shear_component"), "1", f"{_ERROR} shear", "f4",
-        equation="(divergence_std, curl_std): u_x and v_y err alike, as do u_y and v_x", shown_in=UM_PER_MM,
-        unasked=False, formula=_shear_std, of=("shear", "divergence_std", "curl_std")),
+        "(divergence_std, curl_std): u_x and v_y err alike, as do u_y and v_x", formula=_shear_std,
+        of=("shear", "divergence_std", "curl_std")),
     Variable("rigid_residual", ("frame", "point", "xy"), "mm",
         "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip", "f4",
         equation="u − (R X + t), R and t the rotation and the shift of least squares", shown_in=MICROMETRE,
         unasked=False, label="non-rigid motion"),
-    Variable("rigid_residual_std", FRAME_POINT, "mm", f"{_ERROR} component of rigid_residual", "f4",
+    Variable("rigid_residual_std", FRAME_POINT, "mm", "standard deviation of a component of rigid_residual", "f4",
         equation="√(σ²(u) + (median of σ(u) / 2)²), the last of the rigid motion, as points share errors",
         shown_in=MICROMETRE, unasked=False),
-    Variable("rigid_residual_median", FRAME, "mm",
+    *with_deviation(Variable("rigid_residual_median", FRAME, "mm",
         "median length of rigid_residual; NaN below 0.85 of field_coverage, and of fewer than 4 points",
         equation=f"median of {_RIGID_EQUATION}", shown_in=MICROMETRE, label="median non-rigid motion"),
-    Variable("rigid_residual_median_std", FRAME, "mm", f"{_ERROR} rigid_residual_median",
-        equation="√(min(b, b²/median)² + (1.4 c)² + (o/4)²), b 1.18 times the mean deviation of points by noise, c and "
-        "o those by curvature within windows and by the time of onset", shown_in=MICROMETRE),
-    Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_FIELD_STD_EQUATION,
-        shown_in=UM_PER_MM),
-    Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_FIELD_STD_EQUATION, shown_in=UM_PER_MM),
+        "√(min(b, b²/median)² + (1.4 c)² + (o/4)²), b 1.18 times the mean deviation of points by noise, c and "
+        "o those by curvature within windows and by the time of onset"),
     Variable("field_coverage", FRAME, "1",
         "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
         equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted, or within a "
         "quarter of a gauge length of one", shown_in=PERCENT, label="contact with known fields"),
-    Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
+    *with_deviation(Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
         equation="median of div (u + 0.8 (u − v)), v as fitted, at 800 places of its ellipse", shown_in=UM_PER_MM),
-    Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}", equation=_MEDIAN_STD_EQUATION,
-        shown_in=UM_PER_MM),
-    Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence", equation=_RATE_EQUATION,
-        shown_in=UM_PER_MM_S),
-    Variable("median_divergence_rate_std", FRAME, "1/s", f"{_ERROR} rate of median_divergence",
-        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
-    Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}",
-        equation="that of median_divergence, for the curl", shown_in=UM_PER_MM),
-    Variable("median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}", equation=_MEDIAN_STD_EQUATION,
-        shown_in=UM_PER_MM),
-    Variable("median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}",
+        _MEDIAN_STD_EQUATION, f" {_ALONE}"),
+    *with_deviation(Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence",
+        equation=_RATE_EQUATION, shown_in=UM_PER_MM_S), _RATE_STD_EQUATION),
+    *with_deviation(Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}",
+        equation="that of median_divergence, for the curl", shown_in=UM_PER_MM), _MEDIAN_STD_EQUATION, f" {_ALONE}"),
+    *with_deviation(Variable("median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}",
         equation=f"median over 800 places evenly over the gross contact's ellipse of {_STRAIN_EQUATION}",
-        shown_in=UM_PER_MM),
-    Variable("median_strain_std", ("frame", "strain_component"), "1", f"{_ERROR} median strain {_ALONE}",
-        equation=_MEDIAN_STD_EQUATION, shown_in=UM_PER_MM),
-    Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain",
-        equation=_RATE_EQUATION, shown_in=UM_PER_MM_S),
-    Variable("median_strain_rate_std", ("frame", "strain_component"), "1/s", f"{_ERROR} rate of median_strain",
-        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),)
+        shown_in=UM_PER_MM), _MEDIAN_STD_EQUATION, f" {_ALONE}"),
+    *with_deviation(Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain",
+        equation=_RATE_EQUATION, shown_in=UM_PER_MM_S), _RATE_STD_EQUATION),)
 
 STRAIN = (
     Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4",
         equation="Delaunay triangulation of reference_position"),
-    Variable("strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4",
+    *with_deviation(Variable("strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4",
         equation=f"{_STRAIN_EQUATION}; u_x ... of the triangle: linear between its corners", shown_in=UM_PER_MM),
-    Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4",
-        equation=_STD_EQUATION, shown_in=UM_PER_MM),
-    Variable("strain_rate", (*TRIANGLE, "strain_component"), "1/s",
+        _STD_EQUATION),
+    *with_deviation(Variable("strain_rate", (*TRIANGLE, "strain_component"), "1/s",
         "rate of the strain of a triangle (Delhaye et al. 2014)", "f4", equation=f"Ė, {_RATE_EQUATION} to the strain",
         shown_in=UM_PER_MM_S, unasked=False),
-    Variable("strain_rate_std", (*TRIANGLE, "strain_component"), "1/s", f"{_ERROR} rate of the strain", "f4",
-        equation="σ² = Σ w² n² + (dσ/dt)², w the weights of that slope, n² a twentieth of the variance of third "
-        "differences of the strain of a triangle, σ its strain_std", shown_in=UM_PER_MM_S, unasked=False),
-    Variable("principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4",
-        equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=UM_PER_MM, unasked=False),
-    Variable("principal_strains_std", (*TRIANGLE, "principal"), "1", f"{_ERROR} principal strains", "f4",
-        equation="√(cos⁴φ σ²(e_xx) + sin⁴φ σ²(e_yy) + sin²2φ σ²(e_xy)), φ the direction of each", shown_in=UM_PER_MM,
-        unasked=False),
-    Variable("principal_angle", TRIANGLE, "rad", "direction of the major principal strain, from x towards y", "f4",
+        "σ² = Σ w² n² + (dσ/dt)², w the weights of that slope, n² a twentieth of the variance of third "
+        "differences of the strain of a triangle, σ its strain_std"),
+    *with_deviation(Variable("principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain",
+        "f4", equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=UM_PER_MM, unasked=False),
+        "√(cos⁴φ σ²(e_xx) + sin⁴φ σ²(e_yy) + sin²2φ σ²(e_xy)), φ the direction of each"),
+    *with_deviation(Variable("principal_angle", TRIANGLE, "rad",
+        "direction of the major principal strain, from x towards y", "f4",
         equation="½ atan2(2 e_xy, e_xx − e_yy)", unasked=False),
-    Variable("principal_angle_std", TRIANGLE, "rad", f"{_ERROR} principal_angle", "f4",
-        equation="1/√(12/π² + (e₁ − e₂)²/(sin²2φ (σ²(e_xx) + σ²(e_yy))/4 + cos²2φ σ²(e_xy))), at most π/√12, that of "
-        "any angle", unasked=False),
-    Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4",
+        "1/√(12/π² + (e₁ − e₂)²/(sin²2φ (σ²(e_xx) + σ²(e_yy))/4 + cos²2φ σ²(e_xy))), at most π/√12, that of "
+        "any angle"),
+    *with_deviation(Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4",
         equation="w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²",
         shown_in=MICROJOULE),
-    Variable("strain_energy_density_std", TRIANGLE, "mJ/mm3", "standard deviation of the strain energy density", "f4",
-        equation="σ² = g Σ gᵀ + tr(H Σ H Σ)/2 + w(σ)², g and H the first and second derivatives of w by the strain, "
-        "Σ = diag(strain_std²), w(σ) what errors add on average", shown_in=MICROJOULE),
-    Variable("strain_energy", FRAME, "mJ", "strain energy of the whole contact, up to its border",
+        "σ² = g Σ gᵀ + tr(H Σ H Σ)/2 + w(σ)², g and H the first and second derivatives of w by the strain, "
+        "Σ = diag(strain_std²), w(σ) what errors add on average"),
+    *with_deviation(Variable("strain_energy", FRAME, "mJ", "strain energy of the whole contact, up to its border",
         equation="h ⟨∫_contact w dA⟩, the mean over smooth displacement fields that vanish at an advancing border, "
         "given the points; elsewhere strain_energy_between_points + h w̄ A, A the rest of the contact and w̄ the mean w "
         "beside it"),
-    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
-        equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)² + U² q⁸), u the RMS displacement, of which 0.4 µm may "
+        "√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)² + U² q⁸), u the RMS displacement, of which 0.4 µm may "
         "be common to all points, q the window over the contact's width, with Δ to triangles where the border stopped; "
         "elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what windows take if it is the share "
         "that smoothing over 2.5 of them takes again"),
-    Variable("strain_energy_between_points", FRAME, "mJ",
+    *with_deviation(Variable("strain_energy_between_points", FRAME, "mJ",
         "strain energy in triangles between points in contact, less that of noise",
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average"),
-    Variable("strain_energy_between_points_std", FRAME, "mJ",
-        "standard deviation of strain_energy_between_points, with that of the border's place",
-        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)² + U² q⁸), w̄ the mean w half a gauge length from the border, p "
+        "√(σ²(points) + (h w̄ p b)² + (0.3 Δ)² + U² q⁸), w̄ the mean w half a gauge length from the border, p "
         "its length, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
-        "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller"),
-    Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
-    Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),
+        "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller; and with template 'previous' "
+        "what is subtracted for noise, as errors of successive windows cancel in part",
+        ", with that of the border's place"),
+    *with_deviation(Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
+        _RATE_STD_EQUATION),
 )
 
 #: Strain and energy counted as in the lab's script for Willemet et al. (2021).
@@ -438,16 +412,13 @@ PRINTED_STRAIN = (
 )
 
 SLIP = (
-    Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",
+    *with_deviation(Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",
         equation="stuck_ratio gross_contact_area", label="stick area"),
-    Variable("stuck_area_std", FRAME, "mm2", f"{_ERROR} stuck_area",
-        equation="√((gross_contact_area σ(d²))² + (d² σ(gross_contact_area))²)"),
-    Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²",
+        "√((gross_contact_area σ(d²))² + (d² σ(gross_contact_area))²)"),
+    *with_deviation(Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²",
         equation="d² = stuck share of the gross contact's area", label="stick ratio d²"),
-    Variable("stuck_ratio_std", FRAME, "1",
-        "standard deviation of stuck_ratio, most of it shared by all frames; NaN if the border was not found",
-        equation="√(4π d² σ² / gross_contact_area + 0.006²), σ the standard deviation of the border's position",
-        label="standard deviation of stick ratio d²"),
+        "√(4π d² σ² / gross_contact_area + 0.006²), σ the standard deviation of the border's position",
+        ", most of it shared by all frames; NaN if the border was not found"),
     Variable("printed_stuck_ratio", FRAME, "1",
         "d² as Terekhov & Hayward 2011 print it: share of the contact whose skin has moved by less than 40 µm",
         equation="largest connected share of the gross contact with |u| < slip.stuck_mm",
@@ -458,13 +429,12 @@ SLIP = (
     Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show",
         equation="share of the gross contact within half a window of a tracked point", shown_in=PERCENT,
         label="contact seen by the windows"),
-    *(variable for half, where in (("leading", "towards which"), ("trailing", "from which")) for variable in (
-        Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the half of the "
-            f"contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
+    *(variable for half, where in (("leading", "towards which"), ("trailing", "from which")) for variable in
+        with_deviation(Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the "
+            f"half of the contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
             equation="d/dt of the area of the half, relative to its skin; halves by the sum of all displacements"),
-        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise² + slope²), "
-            "slope that of an error gross_contact_area_std / √2, whose correlation over a way s of the skin is "
-            "exp(−(π s / (2 contact.gross_radius_px))²)"))),
+            "√(noise² + slope²), slope that of an error gross_contact_area_std / √2, whose correlation over a way s of "
+            "the skin is exp(−(π s / (2 contact.gross_radius_px))²)")),
     Variable("skin_displacement", (*CELLS, "xy"), "mm",
         "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame", "f4",
         equation="u by dense flow at the places of the first frame", shown_in=MICROMETRE, needs=("dense_flow_slip",)),
@@ -491,11 +461,9 @@ STREAM = (
         label="slip"),
     Variable("illumination_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",
         equation="g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass"),
-    Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4",
-        equation=_STRAIN_EQUATION, shown_in=UM_PER_MM),
-    Variable("point_strain_std", (*FRAME_POINT, "strain_component"), "1", f"{_ERROR} point strain", "f4",
-        equation="√(std(divergence)² + std(curl)²) / 2 of exx and eyy, that over √2 of exy",
-        shown_in=UM_PER_MM),
+    *with_deviation(Variable("point_strain", (*FRAME_POINT, "strain_component"), "1",
+        "Green-Lagrange strain around a point", "f4", equation=_STRAIN_EQUATION, shown_in=UM_PER_MM),
+        "√(std(divergence)² + std(curl)²) / 2 of exx and eyy, that over √2 of exy"),
     Variable("entered", FRAME_POINT, "1",
         "whether a point came into contact by moving into it: divergence, curl and strain there count from its own "
         "entry, its neighbours from that moment", "?",

@@ -12,7 +12,8 @@ from itertools import chain
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.reuse import code_version, content, files_of
+from fingerflow.pipeline.reuse import code_version, content
+from fingerflow.pipeline.stages.preparation.recording_files import files_of
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.schema.scene import Scene
 from fingerflow.study.dotted_keys import flattened
@@ -80,14 +81,13 @@ def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> 
 
 def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
     """Return size, times and digest of a file or folder, taking `earlier.digest` if nothing was written since."""
-    file, _, member = str(path).partition("::")
     try:
-        facts = [(part, part.stat()) for part in files_of(Path(file))]
+        facts = [(part, part.stat()) for part in files_of(path)]
         size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
         state = digest_of(*((part.name, fact.st_ino, fact.st_ctime_ns) for part, fact in facts))
         if earlier is not None and (earlier.size, earlier.modified, earlier.state) == (size, modified, state):
             return InputFile(str(path), size, modified, earlier.digest, state)
-        digest = digest_of_bytes(chain([member.encode()], content([part for part, _ in facts])))
+        digest = digest_of_bytes(chain([str(path).partition("::")[2].encode()], content([part for part, _ in facts])))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
     return InputFile(str(path), size, modified, digest, state)

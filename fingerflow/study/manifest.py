@@ -1,6 +1,5 @@
 """Manifest of a study, `study.toml`: recordings, shared scene settings, and a table of trials."""
 
-import difflib
 import os
 import re
 import tomllib
@@ -13,6 +12,7 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
+from fingerflow.pipeline.stages.preparation.recording_files import equal_recordings
 from fingerflow.schema.delimited import is_numeric
 from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene import Scene, parse_toml, scene_from
@@ -65,7 +65,7 @@ class Manifest:
     shared: Mapping[str, Any]
     trials: tuple[TrialEntry, ...]
     design: str = FORCED_CHOICE  # design of the experiment: a name in GUESSES
-    matched: str = ""  # sentence that says which trials have an answer, and which rows of answers no trial
+    matched: str = ""  # trials that have an answer, rows of answers without a trial, and recordings that are equal
 
     def build_scene(self, entry: TrialEntry) -> Scene:
         """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
@@ -133,7 +133,18 @@ def load_manifest(path: str | Path) -> Manifest:
     without = [entry.name for entry in trials if entry.answer is None]
     if len(without) < len(trials):
         matched += f"{len(trials) - len(without)} of {len(trials)} trials have an answer{_listed('; without', without)}"
-    return Manifest(path, results, shared, trials, design, matched)
+    trial_of = {frames_of(entry, path): entry.name for entry in trials}
+    copies = [
+        f"trials {trial_of[first]} and {trial_of[second]} show one recording: {relative(first, path.parent)} and "
+        f"{relative(second, path.parent)} have the same bytes, as one was copied over the other; copy both again"
+        for first, second in equal_recordings(trial_of)
+    ]
+    return Manifest(path, results, shared, trials, design, "\n".join([*copies, *([matched] if matched else [])]))
+
+
+def frames_of(entry: TrialEntry, manifest: Path) -> Path:
+    """Return the file or folder with the frames of a trial in the table of trials of a manifest."""
+    return (manifest.parent / entry.settings["recording"]["frames"]).resolve()
 
 
 def _listed(words: str, names: Sequence[str]) -> str:
@@ -202,10 +213,9 @@ def spelled_alike(name: str) -> str:
 def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[TrialEntry, ...]:
     lacking = [name for name in (RECORDING, PARTICIPANT, CONDITION) if name not in rows[0]]
     if lacking:
-        close = {name: difflib.get_close_matches(name, rows[0], n=1) for name in lacking}
-        hints = [f"did you mean {entries[0]!r} by {name}? " for name, entries in close.items() if entries]
         raise FingerflowError(
-            f"{table}: there is no column {', '.join(lacking)}; {''.join(hints)}there are {', '.join(rows[0])}"
+            f"{table}: there is no column {', '.join(lacking)}; {did_you_mean(lacking[0], rows[0])}there are "
+            f"{', '.join(rows[0])}"
         )
     for name in rows[0]:
         if "." in name and not name.startswith("views.") and find_entry(name) is None:

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Numbers, Series
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.models.growth_laws import power_law, relaxation
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS, UNLOADING
 
-Series = NDArray[np.float64]
 Curve = list[float | None]
 
 #: Forces (N), and shares of the load of a trial, at which curves are averaged over trials.
@@ -230,7 +229,7 @@ class _Trial:
         return {name: np.nan if value is None else value for name, value in judged.items()}
 
     @cached_property
-    def _slip_loading(self) -> tuple[Series, Series, float, NDArray[np.int_]] | None:
+    def _slip_loading(self) -> tuple[Series, Series, float, Numbers] | None:
         """Return d² and T/N (frames,), T/N at full slip, and the frames from where it is last under a twentieth of that
         to where the last skin slips; None if it never does.
         """
@@ -304,7 +303,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _at(grid: Series, load: Series, series: Series, frames: NDArray[np.int_]) -> Series:
+def _at(grid: Series, load: Series, series: Series, frames: Numbers) -> Series:
     """Return a series where the load of `frames`, in their order, first reaches each value of `grid`, interpolated
     between two frames; NaN where it does not, or the series is not known there.
     """

@@ -11,7 +11,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.trial_columns import BY_SHARE, DIFFERENCE, DIFFERENCES, FACTS, NORMALISED, NUMBERS, UNLOADING
-from fingerflow.study.manifest import REFERENCE, Manifest, TrialEntry, relative
+from fingerflow.study.manifest import REFERENCE, Manifest, TrialEntry, frames_of, relative
 from fingerflow.study.row import CURVES, FORCE_GRID, SHARE_GRID
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
@@ -79,11 +79,10 @@ def table_rows(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow |
     for entry, trial in stored:
         measured = trial.row if trial is not None and trial.status == MEASURED else {}
         result = None if trial is None or trial.result is None else manifest.results / entry.name / trial.result
-        recording = (manifest.path.parent / entry.settings["recording"]["frames"]).resolve()
         facts = {
             "status": NOT_RUN if trial is None else trial.status,
             "reason": "" if trial is None else trial.reason,
-            "recording": relative(recording, manifest.path.parent),
+            "recording": relative(frames_of(entry, manifest.path), manifest.path.parent),
             "result": None if result is None else relative(result, manifest.path.parent),
             **{name: measured.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
         }
@@ -139,16 +138,14 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
         grid, unit = SHARE_GRID if by_share else FORCE_GRID, (NUMBERS | BY_SHARE)[metric.removesuffix(UNLOADING)].units
         for condition in conditions:
             group = [
-                (entry.participant, trial.curves[metric])
+                (entry.participant, trial.curves.get(metric, [np.nan] * len(grid)))
                 for entry, trial in stored
-                if entry.condition == condition and trial is not None and metric in trial.curves
+                if entry.condition == condition and trial is not None and trial.status == MEASURED
             ]
-            if not group:
-                continue
             curves = pd.DataFrame([curve for _, curve in group], index=[name for name, _ in group], dtype=np.float64)
             counts, means = curves.count(), curves.groupby(level=0).mean()
             people, mean_of_means = means.count(), means.mean()
-            error = means.std() / np.sqrt(people)
+            error = means.sem()
             reach = stats.t.ppf((1 + _LEVEL) / 2, people - 1) * error
             for column in np.flatnonzero(counts / len(group) >= _MOST_MISSING):
                 mean, trials, x = float(mean_of_means[column]), int(counts[column]), float(grid[column])

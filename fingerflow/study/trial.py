@@ -85,7 +85,6 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
         "cpu_seconds": round(time.process_time() - cpu, 3),
         "redone_from": redo,
         "threads": threads,
-        "seed": None,  # `process` uses no random numbers
         **_machine(),
         **trace,
     }

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Series
 from fingerflow.tracker.frame_distances import LONGEST
 
 # Change of the contact area between successive frames, as a share of the view's area, that no contact reaches.
@@ -18,7 +19,6 @@ _JUMP = 0.25
 _MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
 # Least share of the border of the contact at the edge of the view, and least area, mm², of which it is reported.
 _CUT, _CUT_MM2 = 0.03, 1.0
-Series = NDArray[np.float64]
 
 
 def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> Iterator[str]:

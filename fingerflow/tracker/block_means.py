@@ -3,17 +3,14 @@ differences of neighbours.
 """
 
 import functools
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import KINDS
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.kernels.library import compiled, is_present
 from fingerflow.schema.variables import DARK, DARK_SHARE, NOISE, SATURATED, SATURATED_SHARE, USABLE
-
-Array = NDArray[Any]
 
 # Least side of a block (px) and largest number of blocks along a side. Blocks are wider than the period of ridges: in
 # narrower ones, ridges that move by half a period per frame would seem to stand still, or to jump and return. A tear,

@@ -7,19 +7,17 @@ of the onsets of contact, such as which touch lasts, is in its `Onsets`.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.array_types import Array
 from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
 from fingerflow.tracker.displacement_medians import displacement_medians
 from fingerflow.tracker.points import select_frames
-
-Array = NDArray[Any]
 
 #: Frames between two evaluations of what changes slowly: errors by gauge length and border.
 EVERY = 8

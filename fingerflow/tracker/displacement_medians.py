@@ -1,16 +1,12 @@
 """Median displacement over the area of the contact, and its standard deviation."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.kernels import field_limits as limits
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.library import compiled, is_present
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
-
-Array = NDArray[Any]
 
 _TINY = 1e-30
 

@@ -8,19 +8,15 @@ of such skin is its deformation since its own entry, all neighbours counted from
 position with respect to position in a common frame, F(t) F(entry)^-1 - I.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import inverse_2x2, is_finite, nanmedian, squared_distances
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
 from fingerflow.tracker.vibration import Values, vibration
-
-Array = NDArray[Any]
 
 #: Distance, in gauge lengths, over which the motion of a point before its onset is compared with that of the border.
 MOVED = 1 / 8
@@ -134,65 +130,59 @@ def join_entered(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
 
 
 class EntryGradients:
-    """Computation, frame by frame, of the displacement gradients of advected points, each relative to its state when it
-    entered the contact.
-
-    Frames are given in order of time.
+    """Displacement gradients of advected points, each relative to its state when it entered the contact.
 
     Attributes:
-        late: (E, 2, 2) error of the gradients by one standard deviation of the time of entry: their change before it,
-            in proportion. It is 0 until a point enters.
+        change: (N, 2, 2) of the gradient at a point in a frame before its entry; 0 where it is not known.
     """
 
     #: Frames before the entry over which the change of a gradient is measured.
     BEFORE = 4
 
-    def __init__(
-        self, engine: Engine, entered: Array, positions: Array, onset: Array, gauge_mm: float, onset_variance: Array
-    ) -> None:
-        """Select the points whose motion is fitted: those within half a gauge length (the diameter of a fit) of the
-        advected points, whose indices are `entered` (E,).
+    def __init__(self, engine: Engine, positions: Array) -> None:
+        """`positions` (N, 2) mm are those by which points are neighbours; NaN for none."""
+        self._engine, self._positions, self._valid = engine, positions, is_finite(positions).nonzero()[0]
+        self._at_entry, self.change = np.full((len(positions), 2, 2), np.nan), np.zeros((len(positions), 2, 2))
+        self._covariance = np.full((len(positions), 2, 2, 2, 2), np.nan)
 
-        `onset_variance` (N,) frame^2 is that of the times of onset; other arguments are those of `advected`.
+    def learn(self, points: Array, entry: tuple[Array, Array], before: tuple[Array, Array]) -> None:
+        """Store the state in which `points` (E,), indices, entered the contact, from the positions (1, N, 2) mm of all
+        points and their variance (1, N) mm^2 in the frame of the entry and in that `BEFORE` frames before.
         """
-        self._engine, self._entered, self._onset, self._gauge = engine, entered, onset[entered], gauge_mm
-        self._deviation = np.sqrt(onset_variance[entered])
-        self.late = np.zeros((len(entered), 2, 2))
-        valid = np.flatnonzero(np.isfinite(positions).all(1))
-        distances = squared_distances(positions[valid], positions[entered])
-        self._near = valid[distances.min(1, initial=np.inf) <= (gauge_mm / 2) ** 2]
-        self._seeded, self._queries = positions[self._near], positions[entered]
-        self._begun = np.full((len(entered), 2, 2), np.nan)
-        self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
-        self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
+        gradient, self._covariance[points] = self._fit(points, *entry)
+        self._at_entry[points] = gradient
+        self.change[points] = np.nan_to_num(gradient - self._fit(points, *before)[0]) / self.BEFORE
 
-    def update(self, frames: Array, position: Array, variance: Array) -> EnteredPoints:
-        """Return the advected points with their displacement gradients since their entry into the contact in n frames,
-        numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N) mm^2.
+    def forget(self, points: Array) -> None:
+        """Forget the entry of `points` (N,) bool, whose next touch begins."""
+        self._at_entry[points], self.change[points] = np.nan, 0
 
-        A gradient is with respect to positions at the entry; it is NaN before the entry, and where too little is known.
-        The variance is that of a component relative to the frame in which points were seeded. Half of it belongs to
-        that frame and is the same at all times. The covariance is to first order, as if the skin had not deformed
-        before the entry.
+    def since_entry(self, points: Array, position: Array, variance: Array) -> EnteredPoints:
+        """Return the advected `points` (E,), indices, with their displacement gradients since their entry in n frames,
+        from the positions (n, N, 2) mm of all points and their variance (n, N) mm^2.
+
+        A gradient is with respect to positions at the entry; it is NaN where too little is known. The variance is that
+        of a component relative to the frame in which points were seeded. Half of it belongs to that frame and is the
+        same at all times. The covariance is to first order, as if the skin had not deformed before the entry.
         """
-        moved = position[:, self._near] - self._seeded
-        noise = variance[:, self._near].astype(np.float64) / 2
-        gradient, covariance = self._engine.fit(self._seeded, moved, self._queries, self._gauge, noise)
-        assert covariance is not None
-        now = _EYE + gradient
-        course = np.concatenate((self._before, now))
-        self._before = course[-self.BEFORE :]
-        for k, frame in enumerate(frames):
-            enter = (self._onset == frame).nonzero()[0]
-            change = np.nan_to_num(now[k, enter] - course[k, enter])
-            self.late[enter] = change * (self._deviation[enter] / self.BEFORE)[:, None, None]
-            self._begun[enter], self._begun_covariance[enter] = now[k, enter], covariance[k, enter]
+        gradient, spread = self._fit(points, position, variance)
         among = np.zeros(variance.shape, dtype=bool)
-        among[:, self._entered] = True
-        entered = [np.full((*among.shape, *(2,) * axes), np.nan, np.float32) for axes in (2, 4)]
-        entered[0][:, self._entered] = now @ inverse_2x2(self._begun) - _EYE
-        entered[1][:, self._entered] = covariance + self._begun_covariance
-        return EnteredPoints(among, *entered)
+        among[:, points] = True
+        since, covariance = (np.full((*among.shape, *(2,) * axes), np.nan, np.float32) for axes in (2, 4))
+        since[:, points] = gradient @ inverse_2x2(self._at_entry[points]) - _EYE
+        covariance[:, points] = spread + self._covariance[points]
+        return EnteredPoints(among, since, covariance)
+
+    def _fit(self, points: Array, position: Array, variance: Array) -> tuple[Array, Array]:
+        """Return the deformation gradients (n, E, 2, 2) of the skin at E of the N points in n frames, from positions
+        (n, N, 2) mm with respect to those in the common frame, and their covariances (n, E, 2, 2, 2, 2).
+        """
+        valid, positions = self._valid, self._positions
+        moved, noise = (position - positions)[:, valid], variance[:, valid] / 2
+        gauge_mm = self._engine.settings.gauge_length_mm
+        gradient, spread = self._engine.fit(positions[valid], moved, positions[points], gauge_mm, noise)
+        assert spread is not None
+        return _EYE + gradient, spread
 
 
 class Entries:
@@ -217,7 +207,7 @@ class Entries:
     def __init__(self, engine: Engine, positions: Array) -> None:
         count = len(positions)
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
-        self._valid = is_finite(positions).nonzero()[0]
+        self._gradients = EntryGradients(engine, positions)
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
         self._covered = np.zeros((self.KEPT, count), dtype=bool)
         self._border = FrameEllipse(*(np.full((self.KEPT, *size), np.nan) for size in ((2,), (2,), ())))
@@ -225,9 +215,8 @@ class Entries:
         self._frames = self._begun = 0
         self.onset, self._reference = np.full(count, -1), np.full((count, 2), np.nan)
         self.entered, self._by_motion = np.zeros((2, count), dtype=bool)  # second: by their own motion
-        self.of_onset, self._change = np.zeros((2, count, 2, 2))
+        self.of_onset = np.zeros((count, 2, 2))
         self._mean_of_onset, self._variance_of_time, self._mean_of_time = np.zeros((2, 2)), np.zeros(count), 0.0
-        self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
     def update(
         self, position: Array, variance: Array, covered: Array, begins: Array, touching: Array, reference: Array,
@@ -254,8 +243,8 @@ class Entries:
         if np.logical_or.reduce(begins):
             self._begun = self._begun or self._frames
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
-            self._at_entry[begins], self.of_onset[begins] = np.nan, self._mean_of_onset  # forgets an earlier touch
-            self._change[begins], self._variance_of_time[begins] = 0, self._mean_of_time
+            self._gradients.forget(begins)
+            self.of_onset[begins], self._variance_of_time[begins] = self._mean_of_onset, self._mean_of_time
             before = self.entered.copy()
             self._mark_advected(begins)
             self._learn_entries(self.entered & ~before)
@@ -263,32 +252,19 @@ class Entries:
         here = (self.entered & is_finite(position)).nonzero()[0]
         if not len(here):
             return None
-        since, covariance = np.full_like(self._at_entry, np.nan), np.full_like(self._covariance, np.nan)
-        gradient, spread = self._gradients(row, here)
-        since[here] = gradient @ inverse_2x2(self._at_entry[here]) - _EYE
-        covariance[here] = spread + self._covariance[here]
-        gradients = (values.astype(np.float32)[None] for values in (since, covariance))
-        return EnteredPoints(self.entered[None].copy(), *gradients)
+        return self._gradients.since_entry(here, *self._kept(row))._replace(among=self.entered[None].copy())
 
-    def _gradients(self, row: int, points: Array) -> tuple[Array, Array]:
-        """Return the gradients (E, 2, 2) of positions with respect to the seeded ones at `points` (E,) in a frame kept
-        at `row`, and their covariances (E, 2, 2, 2, 2).
-        """
-        valid = self._valid
-        moved, noise = (self._position[row] - self._seeded)[None, valid], self._variance[row][None, valid] / 2
-        gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[points], self._gauge, noise)
-        assert spread is not None
-        return _EYE + gradient[0], spread[0]
+    def _kept(self, row: int) -> tuple[Array, Array]:
+        """Return the positions (1, N, 2) of all points and their variance (1, N) in a frame kept at `row`."""
+        return self._position[row][None], self._variance[row][None]
 
     def _learn_entries(self, new: Array) -> None:
         """Compute the gradients at their entry of points that are newly marked as advected, `new` (N,) bool."""
         for onset in set(self.onset[new].tolist()):
-            row, position = onset % self.KEPT, self._position[onset % self.KEPT]
-            points = (new & (self.onset == onset) & is_finite(position)).nonzero()[0]
+            rows = onset % self.KEPT, (onset - EntryGradients.BEFORE) % self.KEPT
+            points = (new & (self.onset == onset) & is_finite(self._position[rows[0]])).nonzero()[0]
             if len(points):
-                self._at_entry[points], self._covariance[points] = self._gradients(row, points)
-                earlier, _ = self._gradients((onset - EntryGradients.BEFORE) % self.KEPT, points)
-                self._change[points] = np.nan_to_num(self._at_entry[points] - earlier) / EntryGradients.BEFORE
+                self._gradients.learn(points, *map(self._kept, rows))
 
     def check_vibration(self, mm_per_px: float) -> list[str]:
         """Return a warning if the whole image vibrates in the kept frames; safe in any thread."""
@@ -329,7 +305,7 @@ class Entries:
         """Return the errors (N, 2, 2) of the gradients of advected points by one standard deviation of the time of
         entry: their change before it, in proportion; 0 for other points.
         """
-        return (self.entered * np.sqrt(self._variance_of_time))[:, None, None] * self._change
+        return (self.entered * np.sqrt(self._variance_of_time))[:, None, None] * self._gradients.change
 
     def _mark_advected(self, begins: Array) -> None:
         """Update the mask `entered` (N,) of advected points: test which of the points whose touch begins in this frame,

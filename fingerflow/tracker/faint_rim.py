@@ -1,7 +1,5 @@
 """Faint rim of the contact: by how much its border may lie further out where ridges are pale there."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.library import compiled, is_present
-
-Array = NDArray[Any]
 
 #: Largest number of consecutive frames in which an image may jump away; if it returns later, no jump is detected.
 LONGEST = 3
@@ -57,7 +55,7 @@ class PixelSamples(NamedTuple):
         """Return the samples of the last `frames` frames of a sequence that consists of the frames of `before` (None
         for none) followed by those of this object.
         """
-        samples = self if before is None or len(self.light) >= frames else self.after(before)
+        samples = self if before is None else self.after(before)
         return PixelSamples(*(values[-frames:].copy() for values in samples))
 
     def after(self, before: PixelSamples) -> PixelSamples:

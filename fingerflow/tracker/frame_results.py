@@ -1,14 +1,12 @@
 """Results of a frame of a stream: contact areas, point positions, slip, and strain fields since contact onset."""
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameContact, TrackedPoints
+from fingerflow.kernels.array_types import Array
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import sparse_border_mm
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
@@ -22,8 +20,6 @@ from fingerflow.tracker.onset import LASTING, Touches, interpolate_displacement
 from fingerflow.tracker.points import select_frames
 from fingerflow.tracker.sizes_on_glass import Sizes, SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
-
-Array = NDArray[Any]
 
 #: Names of the results of a frame, which are variables of the data set.
 RESULTS = (
@@ -75,7 +71,7 @@ class FrameResults:
         self._gross = self._faint_mm = 0.0  # of the largest contact so far
         self._sizes: Sizes  # of the contact in the present frames
         self._entered = np.zeros((0, 0), dtype=bool)  # which points have entered, in each of them
-        self._touches = Touches(0)
+        self._touches, self._inherited = Touches(0), np.zeros(0)
 
     def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints, pull: Array) -> dict[str, Array]:
         """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
@@ -144,14 +140,15 @@ class FrameResults:
     def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding, count = seeding, len(seeding.points)
         positions, gauge_mm = self._geometry.on_glass(seeding.points), self._engine.settings.gauge_length_mm
+        # Where some displacements are not known, the known ones may be those of the rim alone: none is taken over.
+        before = np.zeros((0, 2)) if seeding.before is None or np.isnan(self._inherited).any() else seeding.before
         # (N,) mm^2, variance of displacements taken over from previous points; NaN where there are none, so that the
         # displacement of skin that was in contact when it was seeded is not known.
         self._inherited, touches = np.zeros(count), Touches(count)
         if seeding.before is not None:
             self.slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
-            rows, before = covered.nonzero()[0], np.zeros((0, 2)) if seeding.before is None else seeding.before
-            moved = self._geometry.on_glass(before) - self._touches.position[: len(before)]
+            rows, moved = covered.nonzero()[0], self._geometry.on_glass(before) - self._touches.position[: len(before)]
             inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
             touches.replace(rows, positions[rows] - inherited)
         self._touches = touches
@@ -169,7 +166,7 @@ class FrameResults:
         left = np.isnan(self._inherited) & (skin.covered[0] == 0)
         if np.logical_or.reduce(left):
             self._inherited[left] = 0
-            self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
+            self._touches.replace(left.nonzero()[0], np.full((1, 2), np.nan))
         touch = self._touches.add_frames(skin.numbers, skin.covered, position, skin.noise, skin.border)
         variance = (skin.noise + skin.curvature) * px2
         self._entered = np.empty(skin.covered.shape, dtype=bool)

@@ -32,8 +32,6 @@ thread)   entry              writes  `Entries`: positions, variances and borders
 results by name
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque
@@ -42,10 +40,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import is_finite
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
@@ -54,8 +52,6 @@ from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.points import STREAM, Points, join
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
-
-Array = NDArray[Any]
 
 CONTACT_VIEW, TOPOGRAPHY_VIEW = "contact_view", "topography_view"
 PAGE = "page"  # cause of a reseeding that the user has requested on the live page

@@ -1,14 +1,12 @@
 """Determine the onset of contact: frame and position at which each skin point first touches the glass."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import is_finite, squared_distances
 from fingerflow.kernels.result_records import FrameEllipse
-
-Array = NDArray[Any]
 
 #: Number of consecutive frames in which the contact must cover a point for a lasting touch.
 LASTING = 3

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import is_finite, nanmedian, squared_distances
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
-
-Array = NDArray[Any]
 
 TRUSTED = int(SPEED_FRAMES)  # largest number of frames over which a speed is extrapolated
 _NEVER = 10**6  # number of missing frames of a point that does not exist

@@ -1,7 +1,5 @@
 """Tracking of points through the frames after the key frame in which the points were seeded."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Sequence
@@ -25,6 +23,7 @@ from fingerflow.engines.engine import (
     reject,
     select,
 )
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import identities, inverse_2x2, is_finite
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.deviations.curvature import Curvature
@@ -32,7 +31,6 @@ from fingerflow.tracker.point_prediction import TRUSTED, PointMotion
 from fingerflow.tracker.recovery import Search, Track, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification
 
-Array = NDArray[Any]
 Record = TypeVar("Record", FrameContact, FrameFields, TrackedPoints)
 
 _MOST_VARIANCE = 1.0  # px^2, of a position, above which it is not located

@@ -1,15 +1,12 @@
 """Search for lost points, which registration did not find near their predicted positions."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import TRACKED, TrackedPoints, reject
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.tracking_limits import TrackStatus
-
-Array = NDArray[Any]
 
 _NOT_CONVERGED = int(TrackStatus.NOT_CONVERGED)
 #: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).

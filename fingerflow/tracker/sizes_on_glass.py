@@ -1,14 +1,12 @@
 """Conversion of areas and ellipses of the contact from px of the contact view to mm on the glass."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import FrameContact, FrameEllipse
+from fingerflow.kernels.array_types import Array
 from fingerflow.recordings.lens import Geometry
-
-Array = NDArray[Any]
 
 
 class Sizes(NamedTuple):

@@ -1,14 +1,11 @@
 """Detect slip in a stream: the rim of the contact moves along the glass while its middle stays behind."""
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.tracker.onset import interpolate_displacement
-
-Array = NDArray[Any]
 
 _FEWEST = 12  # least number of points in contact for a fit of five coefficients
 _RAISED = 2.0  # factor on the noise of a point above which the flag is raised
@@ -80,7 +77,7 @@ class SlipFlag:
             touched[begins] = position[begins]
         touched[~covered] = np.nan
         used = (finite & np.isfinite(touched) & np.isfinite(std)).nonzero()[0]
-        residual, ahead, spread, noise = math.nan, math.nan, math.nan, math.nan
+        residual, ahead, spread, noise = [math.nan] * 4
         if len(used) >= _FEWEST:
             residual = rigid_residual_rms(touched[used], position[used])
             ahead, spread = rim_motion(touched[used], position[used])

@@ -2,18 +2,16 @@
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.schema.variables import DARK, JUMPS, REPEATED, SATURATED, USABLE
 from fingerflow.tracker import frame_copies
 from fingerflow.tracker.block_means import PictureCheck, block_means
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
 from fingerflow.tracker.frame_jumps import NEARBY, Ordinary, excess, is_far, is_jump, ordinary_limit, ordinary_values
-
-Array = NDArray[Any]
 
 _STEPS = 64  # number of latest steps between usable frames from which ordinary steps are estimated
 _REMEMBERED = 512  # number of latest usable frames with which a frame is compared to detect a copy

@@ -1,16 +1,14 @@
 """Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin or dust."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import STEP, TRACKED, Engine, Images, noise_of
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import identities
 from fingerflow.tracker.window_match import Sampler, compare, deformed_alike, shifted_alike
-
-Array = NDArray[Any]
 
 _ALIKE = 0.05  # 1 - correlation that is always allowed; for ridges with a period of 15 px a shift by 1.5 px exceeds it
 _USUAL = 4.0  # multiple of the median 1 - correlation over all points that is allowed if it is more

@@ -18,9 +18,10 @@ _WINDOW = 12  # frames, the period of which a smooth path has half
 _LEAST_FRAMES = 2 * _WINDOW
 _COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
 _FEWEST = 12  # least number of points in contact, and of points beside it, of whose steps the medians are compared
-# Least root mean square of a component, in px, in each quarter of the frames, largest share of it by which skin in
-# contact and beside it differ, and least share of the largest quarter in every quarter: a jerk of the finger has less.
-_LEAST_PX, _DIFFERS, _STEADY = 0.02, 0.5, 0.25
+# Least root mean square of a component, in px, in each quarter of the frames, least covariance of skin in contact and
+# beside it over the larger variance, and least share of the largest quarter in every quarter: a jerk of the finger has
+# less.
+_LEAST_PX, _ALIKE, _STEADY = 0.02, 0.5, 0.25
 _FROM_XY = np.array((1, 1j))
 
 
@@ -41,29 +42,39 @@ def vibration(
         frames: numbers of the usable frames.
         counted: says what contains the vibration.
     """
-    result, steps = np.zeros((position.shape[0], 4)), np.full((len(frames), 3, 4), np.nan)
+    result = np.zeros((position.shape[0], 4))
     some = slice(None, None, max(1, position.shape[1] // _COMPARED))
     start = position[frames[:1]][:, some]
     centre = nanmedian(start) @ _FROM_XY
     radius = float(np.fmax(nanmedian(abs(start @ _FROM_XY - centre))[0], mm_per_px))
-    before = np.full(start.shape[:2], np.nan)
-    for rows in np.array_split(np.arange(len(frames)), len(frames) // FRAMES_READ + 1):
-        read = slice(int(frames[rows[0]]), int(frames[rows[-1]]) + 1)
-        here, inside = (values[read][frames[rows] - read.start][:, some] for values in (position, in_contact))
-        here = here @ _FROM_XY - centre
-        moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
-        seen = np.isfinite(moved)
-        for side, group in enumerate((seen, seen & inside, seen & ~inside)):
-            steps[rows, side] = np.where(group.sum(1)[:, None] >= _FEWEST, _step(here, moved, group, radius), np.nan)
-    both = np.isfinite(steps).all((1, 2))
-    if both.sum() > _LEAST_FRAMES:
-        # Of the steps, as the path has a jump where a group begins.
-        begin = int(both.argmax())
-        fast = _fast(np.nan_to_num(steps[begin:]))[both[begin:]]
-        quarters = np.stack([np.square(quarter).mean(0) for quarter in np.array_split(fast[:, 1], 4)])
-        least = np.fmax((_LEAST_PX * mm_per_px) ** 2, np.square((fast[:, 1] - fast[:, 0]) / _DIFFERS).mean(0))
-        found = quarters.min(0) > np.fmax(least, _STEADY**2 * quarters.max(0))
-        result[frames] = _fast(np.nan_to_num(steps[:, 0]).cumsum(0)) * found
+
+    def steps(side: bool | None) -> NDArray[np.float64]:
+        """Return the steps (F, 4) of the points in contact (True), of those beside it (False) or of all (None)."""
+        taken, before = np.full((len(frames), 4), np.nan), np.full(start.shape[:2], np.nan)
+        for rows in np.array_split(np.arange(len(frames)), len(frames) // FRAMES_READ + 1):
+            read = slice(int(frames[rows[0]]), int(frames[rows[-1]]) + 1)
+            here, inside = (values[read][frames[rows] - read.start][:, some] for values in (position, in_contact))
+            here = here @ _FROM_XY - centre
+            moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
+            group = np.isfinite(moved) if side is None else np.isfinite(moved) & (inside == side)
+            taken[rows] = np.where(group.sum(1)[:, None] >= _FEWEST, _step(here, moved, group, radius), np.nan)
+        return taken
+
+    common, least = np.nan_to_num(steps(None)), np.full(4, (_LEAST_PX * mm_per_px) ** 2)
+    # Skin in contact and beside it is compared only where the whole moves.
+    if len(frames) > _LEAST_FRAMES and (np.square(_fast(common)).mean(0) > least).any():
+        contact, beside = steps(True), steps(False)
+        both = np.logical_and.reduce(np.isfinite(contact + beside), 1)
+        if both.sum() > _LEAST_FRAMES:
+            # Of the steps, as the path has a jump where a group begins.
+            ours, theirs = (_fast(np.where(both[:, None], each, common))[both] for each in (contact, beside))
+            # Of independent errors of both, the product has none on average.
+            quarters = np.stack([quarter.mean(0) for quarter in np.array_split(ours * theirs, 4)])
+            least = np.fmax(least, _STEADY**2 * quarters.max(0))
+            alike = (ours * theirs).mean(0) > _ALIKE * np.fmax(np.square(ours).mean(0), np.square(theirs).mean(0))
+            # Where one component vibrates, less of another is vibration, too.
+            found = alike & (alike & (quarters.min(0) > least)).any()
+            result[frames] = _fast(common.cumsum(0)) * found
     motion, rms = result.view(np.complex128) / (1, radius), np.sqrt(np.square(result).mean(0))
     motion[:, 0] -= motion[:, 1] * np.nan_to_num(centre)
     warning = (
@@ -112,7 +123,9 @@ def _predicted(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     parts = np.lib.stride_tricks.sliding_window_view(columns, _WINDOW + 1, axis=0)
     result = np.concatenate((columns, np.zeros((_WINDOW, columns.shape[1]))))
     for k, part in enumerate(parts.swapaxes(0, 1)):
-        weights = np.linalg.lstsq(part[:, :-1], part[:, -1], rcond=1e-6)[0]
+        # Backwards, too, for which the same weights hold: those of one direction alone may let the series grow.
+        known = np.concatenate((part, part[:, ::-1]))
+        weights = np.linalg.lstsq(known[:, :-1], known[:, -1], rcond=1e-6)[0]
         for frame in range(len(columns), len(result)):
             result[frame, k] = result[frame - _WINDOW : frame, k] @ weights
     return result

@@ -4,15 +4,13 @@ An engine samples the windows.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.library import compiled, is_present
 from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
 
-Array = NDArray[Any]
 #: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
 #: (N, 2, 2).
 Sampler = Callable[[Array, Array, Array], Array]

@@ -102,7 +102,7 @@ def test_equations_are_mathml(site: Path) -> None:
 
 def test_every_variable_and_key_has_its_place(site: Path) -> None:
     outputs = (site / "generated" / "outputs.html").read_text(encoding="utf-8")
-    assert not [entry.name for entry in dictionary() if f"{entry.name}<" not in outputs]
+    assert not [entry for entry in dictionary() if f"{entry['name']}<" not in outputs]
     keys = (site / "generated" / "keys.html").read_text(encoding="utf-8")
     assert not [name for name in SCENE if f"[{name}]<" not in keys]
 

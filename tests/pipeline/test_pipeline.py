@@ -67,9 +67,13 @@ def test_what_a_wide_median_takes_is_within_the_deviation(scene: Scene, result: 
     assert 0.2 < taken < 3 * float(wide["real_contact_area_std"][-1])
 
 
-def test_noise_without_contact_is_within_the_deviation(tmp_path: Path) -> None:
-    noisy = process(write_small(tmp_path / "press", replace(SMALL_PRESS, camera=Camera(noise=8))))
+def test_noise_is_within_the_deviations(tmp_path: Path) -> None:
+    """Noise counts as contact, and with template "previous" more energy is subtracted for it than it has added."""
+    scene = load_scene(write_small(tmp_path / "press", replace(SMALL_PRESS, camera=Camera(noise=8))))
+    noisy, previous = process(scene), process(replace(scene, tracking=replace(scene.tracking, template="previous")))
     assert 0.1 < noisy["real_contact_area"][0] < noisy["real_contact_area_std"][0]
+    energy = "strain_energy_between_points"
+    assert (abs(previous[energy] - noisy[energy]) < previous[f"{energy}_std"])[-6:].all()
 
 
 def test_the_rigid_residual_of_too_little_is_unknown(scene: Scene, result: xr.Dataset) -> None:

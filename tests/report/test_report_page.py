@@ -56,7 +56,7 @@ def test_the_page_is_one_file_without_none(page: Path) -> None:
     text = told(page)
     assert "http" not in page.read_text(encoding="utf-8").replace("http-equiv", "").split("base64", 1)[0]
     assert "http" not in text
-    for wrong in ("None", "nan", "{&#39;", "{'", "[["):
+    for wrong in ("None", "nan", "{&#39;", "{'", "[[", "\u2212"):
         assert wrong not in text, wrong
     assert text.index("Key numbers") < text.index("What was seen") < text.index("Maps on the skin")
     ids = re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8"))

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import torch
 import xarray as xr
-from numpy.typing import NDArray
 
 from bench.prints import DPI, FINGERS
 from fingerflow import process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
 from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording
@@ -25,8 +25,7 @@ from fingerflow.synthetic.scenes import SyntheticScene
 from tests.silent.case import Case, played, without_fault
 from tests.small_trials import scene_beside, warnings_of
 
-Pictures = NDArray[np.float64]
-Change = Callable[[Pictures, Press], Pictures]
+Change = Callable[[Array, Press], Array]
 
 PRESS = Press(
     n_frames=40,
@@ -53,11 +52,11 @@ class Fault(NamedTuple):
     moved_px: int = 0  # of the light, to the right
 
 
-def _columns(pictures: Pictures) -> NDArray[np.float64]:
+def _columns(pictures: Array) -> Array:
     return np.arange(pictures.shape[2], dtype=np.float64)
 
 
-def _dark_third(pictures: Pictures, press: Press) -> Pictures:
+def _dark_third(pictures: Array, press: Press) -> Array:
     """Return pictures whose right part, into which the contact extends, is without light."""
     return pictures * np.where(_columns(pictures) > 0.58 * pictures.shape[2], 0.01, 1.0)
 
@@ -67,7 +66,7 @@ def _strip(width: int, angle: float, place: float = 0.45, kept: float = 0.3) -> 
     `angle` rad.
     """
 
-    def change(pictures: Pictures, press: Press) -> Pictures:
+    def change(pictures: Array, press: Press) -> Array:
         y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]]
         away = (x - place * pictures.shape[2]) * np.cos(angle) + (y - 0.5 * pictures.shape[1]) * np.sin(angle)
         return pictures * np.where(np.abs(away) < width / 2, kept, 1.0)
@@ -80,7 +79,7 @@ def _halo(depth: float) -> Change:
     outside over about a millimetre.
     """
 
-    def change(pictures: Pictures, press: Press) -> Pictures:
+    def change(pictures: Array, press: Press) -> Array:
         y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]] * press.mm_per_px
         shadow = []
         for frame in range(len(pictures)):
@@ -101,7 +100,7 @@ def _faint(edge: float, width_mm: float, thinner_px: int = 999) -> Change:
     to all of it `width_mm` inside; the contrast beyond `thinner_px` from their edges remains.
     """
 
-    def change(pictures: Pictures, press: Press) -> Pictures:
+    def change(pictures: Array, press: Press) -> Array:
         y, x = (torch.from_numpy(line * press.mm_per_px) for line in np.mgrid[: pictures.shape[1], : pictures.shape[2]])
         result = pictures.copy()
         for frame, picture in enumerate(result):
@@ -115,7 +114,7 @@ def _faint(edge: float, width_mm: float, thinner_px: int = 999) -> Change:
     return change
 
 
-def _sweat(pictures: Pictures, press: Press) -> Pictures:
+def _sweat(pictures: Array, press: Press) -> Array:
     """Return pictures in which sweat fills the valleys in patches 0.6 mm wide once skin touches there."""
     generator = np.random.default_rng(1)
     result, (right, down) = pictures.copy(), press.contact_centre
@@ -129,11 +128,11 @@ def _sweat(pictures: Pictures, press: Press) -> Pictures:
     return result
 
 
-def _gradient(pictures: Pictures, press: Press) -> Pictures:
+def _gradient(pictures: Array, press: Press) -> Array:
     return pictures * (1 - 0.15 * _columns(pictures) / pictures.shape[2])
 
 
-def _zero_rows(pictures: Pictures, press: Press) -> Pictures:
+def _zero_rows(pictures: Array, press: Press) -> Array:
     result = pictures.copy()
     result[:, 170:200] = 0
     return result
@@ -144,7 +143,7 @@ def _second(scale: float, right: int, down: int, first: int = 0) -> Change:
     to the right and down.
     """
 
-    def change(pictures: Pictures, press: Press) -> Pictures:
+    def change(pictures: Array, press: Press) -> Array:
         rows, columns = pictures.shape[1:]
         matrix = np.array([[scale, 0, columns / 2 * (1 - scale) + right], [0, scale, rows / 2 * (1 - scale) + down]])
         second = np.stack([cv2.warpAffine(one, matrix, (columns, rows), borderValue=1.0) for one in pictures])

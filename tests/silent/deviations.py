@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import torch
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from bench.contact_grid import energies, energy_since_onset, skin_in_contact
 from bench.prints import FINGERS
 from bench.recordings import write_quietly
 from fingerflow import process
+from fingerflow.engines.engine import Array
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.fields.rigid_motion import rigid_residual
@@ -32,7 +32,6 @@ from fingerflow.synthetic.scenes import SyntheticScene
 from tests.silent.case import Case, played
 from tests.silent.deviation_scenes import scenes
 
-Array = NDArray[Any]
 Errors = dict[str, tuple[Array, Array]]
 InFrames = dict[str, list[tuple[Array, Array]]]
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from bench.prints import DPI, FINGERS
 from fingerflow import load_scene, process
+from fingerflow.engines.engine import Array
 from fingerflow.kernels.library import is_present
 from fingerflow.recordings import open_recording
 from fingerflow.schema.variables import FRAME_STATUS
@@ -32,7 +33,6 @@ from fingerflow.tracker.frame_jumps import jumps_and_returns
 from tests import small_trials
 from tests.silent.case import Case, records_of
 
-Array = np.ndarray[Any, Any]
 Frames = Array
 
 _SMALL: dict[str, Any] = {"frame_shape": (192, 480), "semi_axes": (2.1, 1.7), "finger": (2.9, 2.4)}

@@ -18,6 +18,7 @@ import xarray as xr
 from bench.prints import DPI, FINGERS
 from bench.recordings import write_quietly
 from fingerflow import load_scene, process
+from fingerflow.engines.engine import Array
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import Press, Slide, SyntheticScene, scene_of_print
@@ -27,8 +28,6 @@ from tests.silent.case import Case, without_fault
 from tests.silent.contact import PRESS
 from tests.silent.deviation_scenes import scenes
 from tests.small_trials import scene_beside, warnings_of
-
-Array = np.ndarray[Any, Any]
 
 OUTPUTS = ["position_px", "position_std_px", "status", "strain_energy", "strain_energy_std", "median_divergence",
     "median_divergence_std", "field_coverage", "in_contact"]  # fmt: skip

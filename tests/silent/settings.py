@@ -8,25 +8,25 @@ the truth needs no warning; any other result must name the cause.
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from fingerflow import load_scene, process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press, Slide, write_recording
 from tests.silent.case import Case, without_fault
 from tests.small_trials import scene_beside, turned, warnings_of
 
-Frames = np.ndarray[Any, Any]
 LOST = 27  # frames
 
 
-def _topography(change: Callable[[Frames], Frames]) -> Callable[[Frames], dict[str, Frames]]:
+def _topography(change: Callable[[Array], Array]) -> Callable[[Array], dict[str, Array]]:
     """Return what replaces the frames of the press by frames whose topography view is changed."""
 
-    def arrays(frames: Frames) -> dict[str, Frames]:
+    def arrays(frames: Array) -> dict[str, Array]:
         changed = frames.copy()
         view = Press().views["topography"].crop(changed)
         view[:] = change(view.copy())
@@ -47,7 +47,7 @@ class Mistake(NamedTuple):
     replaced: dict[str, str]
     variable: str
     cause: str
-    arrays: Callable[[Frames], dict[str, Frames]] = lambda _: {}
+    arrays: Callable[[Array], dict[str, Array]] = lambda _: {}
     forces: float | None = 1.0
 
 
@@ -114,7 +114,7 @@ def cases(few: bool = False) -> Iterator[Case]:
         yield without_fault("slide", process(Path(folder) / "slide" / "scene.toml"))
 
 
-def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset) -> Case:
+def try_mistake(mistake: Mistake, press: Path, frames: Array, right: xr.Dataset) -> Case:
     """Make a mistake on a recorded press and judge the warnings of its result; `right` is the result without the
     mistake.
     """

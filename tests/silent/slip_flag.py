@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fingerflow.engines.engine import Array
 from fingerflow.synthetic import Bump, ChainPress, PartialSlip, Press, SyntheticScene
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.tracker.slip_flag import SlipFlag
@@ -88,7 +89,7 @@ def quiet_scenes(frames: int) -> dict[str, SyntheticScene]:
     }
 
 
-def records_of(scene: SyntheticScene, flicker: float, folder: Path) -> np.ndarray[Any, Any]:
+def records_of(scene: SyntheticScene, flicker: float, folder: Path) -> Array:
     """Return the records of a stream of a scene whose light changes by the share `flicker` from frame to frame."""
     file = write_scene_of_bundle(folder / "trial", scene)
     frames = np.load(folder / "trial" / "frames.npy")
@@ -97,7 +98,7 @@ def records_of(scene: SyntheticScene, flicker: float, folder: Path) -> np.ndarra
     return played(write_library_bundle(folder / "bundle", recipe_of_trials()), file)
 
 
-def flags_of(scene: SyntheticScene, seed: int) -> np.ndarray[Any, Any]:
+def flags_of(scene: SyntheticScene, seed: int) -> Array:
     """Return the slip flag (frames,) of a scene without pictures: of 450 points at their true positions with noise."""
     truth, generator, flag = scene.truth, np.random.default_rng(seed), SlipFlag()
     material = generator.uniform(-3.6, 3.6, (450, 2)) + scene.contact_centre

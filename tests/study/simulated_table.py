@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from fingerflow.engines.engine import Array
 from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import parameter_set
 
-Values = NDArray[np.float64]
 _LOAD_N = 3.0
 _SPREAD = 0.003  # standard deviation of a trial's divergence around that of its participant and condition
 
@@ -24,7 +23,7 @@ _FRICTION = 0.9, 0.03  # coefficient without vibration and at the largest amplit
 
 
 @cache
-def divergences(softness: float) -> Values:
+def divergences(softness: float) -> Array:
     """Return the divergence (C,) by condition at 3 N of skin whose printed stiffnesses are divided by `softness`."""
     friction = torch.from_numpy(_FRICTION[0] * (_FRICTION[1] / _FRICTION[0]) ** (_AMPLITUDES / _AMPLITUDES.max()))
     return press(friction, parameter_set("paper").softer(softness), load_n=_LOAD_N, elements=101).divergence

@@ -1,6 +1,7 @@
 """Tests of the manifest of a study and its table, and errors that name the row."""
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -135,6 +136,13 @@ def test_recordings_without_scenes(lab: Path) -> None:
 def test_two_participants_in_a_path_are_left_to_be_filled_in(lab: Path) -> None:
     (lab / "p01").rename(lab / "p01_s2")
     assert "participant of 4 trials in trials.csv" in init_study(lab)[1]
+
+
+def test_a_recording_copied_over_another_is_named(study: Manifest, lab: Path) -> None:
+    assert "\n" not in study.matched
+    shutil.copy(lab / "p01/0um/trial1/frames.npy", lab / "p02/2um/trial3/frames.npy")
+    said = load_manifest(lab).matched
+    assert said.startswith("trials 01_0_1 and 02_2_3 show one recording: p01/0um/trial1/frames.npy and p02/")
 
 
 def test_names_of_trials_never_collide(study: Manifest, lab: Path) -> None:

@@ -86,6 +86,7 @@ def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_
     frame = frame[[*list(frame)[:5], "divergence", "strain", "curl", "global_displacement", "force_angle", "max_force"]]
     frame = frame.assign(reference="")
     assert differences(frame) == {}
+    assert "contact_exponent_std_difference" not in DIFFERENCES
     of_none = frame.assign(condition=-1.0, trial=100 + frame["trial"], answer=None, divergence=0.01)
     both = pd.concat((frame.assign(reference=100 + frame["trial"]), of_none), ignore_index=True)
     for name in (one.removesuffix("_difference") for one in DIFFERENCES):
@@ -138,11 +139,11 @@ def test_curves_are_averaged_over_participants() -> None:
         return entry, TrialRow(MEASURED, curves={"divergence": curve})
 
     stored = [trial(1, "a", 0.9, 10), trial(2, "a", 1.0, 10), trial(3, "a", 1.1, 10), trial(4, "b", 3.0, 20)]
-    rows = averaged(stored)
+    rows = averaged([*stored, (stored[3][0], TrialRow(MEASURED))])
     assert len(rows) == 10, "what fewer than half of the trials reach is left out"
     assert rows[0]["mean"] == pytest.approx(2.0)
     assert rows[0]["high"] - rows[0]["mean"] == pytest.approx(12.7062, rel=1e-4)
-    assert (rows[0]["participants"], rows[0]["trials"], rows[0]["without"]) == (2, 4, 0)
+    assert (rows[0]["participants"], rows[0]["trials"], rows[0]["without"]) == (2, 4, 1)
 
 
 def test_friction_falls_with_force_within_participants() -> None:

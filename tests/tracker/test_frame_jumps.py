@@ -5,8 +5,8 @@ with noise.
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
+from fingerflow.engines.engine import Array
 from fingerflow.kernels.library import is_present
 from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker import frame_distances
@@ -16,11 +16,10 @@ from fingerflow.tracker.frame_jumps import jumps_and_returns
 from tests.small_trials import SPOILED
 
 FRAMES, HEIGHT, WIDTH = 80, 96, 120
-Frames = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
-def skin() -> Frames:
+def skin() -> Array:
     """Return frames (F, H, W) of texture that moves by 0.15 px a frame under light from one side, with noise of two
     grey levels.
     """
@@ -33,7 +32,7 @@ def skin() -> Frames:
     return (torch.stack(drawn) * shade + noise).double().numpy()
 
 
-def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
+def distances(frames: Array, size: int = 8) -> Array:
     """Return the distances of frames from earlier ones, computed for `size` frames at a time as a stage does."""
     before, parts = None, []
     for k in range(0, len(frames), size):
@@ -43,12 +42,12 @@ def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
     return np.concatenate(parts)
 
 
-def found(frames: Frames) -> list[int]:
+def found(frames: Array) -> list[int]:
     return np.flatnonzero(jumps_and_returns(distances(frames), np.ones(len(frames), dtype=bool))).tolist()
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_distances_are_those_of_the_definition(skin: Frames, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_distances_are_those_of_the_definition(skin: Array, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The distances of band 3 of 8 (12 of 96 lines), of the whole view and of the light, two frames apart, are those of
     the definition, for batches of any size.
     """
@@ -74,7 +73,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_jumps_and_returns_is_found_and_nothing_else(skin: Frames, kind: str) -> None:
+def test_what_jumps_and_returns_is_found_and_nothing_else(skin: Array, kind: str) -> None:
     """Also next to an end of the recording, and where they are more than a tenth of it."""
     last = FRAMES - 1
     for places in ([0, 30, 31, 32], [9, 11, 13], [20, 21, last], [1, 2, 3], [last - 3, last - 2, last - 1], [8, 9, 10]):
@@ -84,7 +83,7 @@ def test_what_jumps_and_returns_is_found_and_nothing_else(skin: Frames, kind: st
         assert found(frames) == places
 
 
-def test_motion_and_light_that_stay_are_none(skin: Frames) -> None:
+def test_motion_and_light_that_stay_are_none(skin: Array) -> None:
     jump = skin.copy()
     jump[30:] = np.roll(jump[30:], 6, 2)
     lamp = skin.copy()
@@ -94,7 +93,7 @@ def test_motion_and_light_that_stay_are_none(skin: Frames) -> None:
 
 
 @pytest.mark.parametrize("period", [2.1, 3.0, 3.3, 7.0])
-def test_flickering_light_and_vibrating_skin_are_no_return_of_a_frame(skin: Frames, period: float) -> None:
+def test_flickering_light_and_vibrating_skin_are_no_return_of_a_frame(skin: Array, period: float) -> None:
     phase = 2 * np.pi * np.arange(FRAMES) / period
     for share in (0.05, 0.2):
         assert found(skin * (1 + share * np.sin(phase))[:, None, None]) == []

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fingerflow.engines.engine import Array
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker import frame_tracker
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import jumps_and_returns
 from fingerflow.tracker.stream_frame_quality import FrameCheck
 
-Array = np.ndarray[Any, Any]
 GLASS = np.full((192, 240), 200.0)
 
 

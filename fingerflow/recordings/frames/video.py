@@ -54,11 +54,12 @@ def open_frames(path: Path) -> Recording:
         pixels = _pixels(path, stream.codec_context.pix_fmt, stream.codec_context.height, stream.codec_context.width)
         rate, tick, file_format = stream.average_rate, stream.time_base, container.format.name
         # An edit list leaves out frames of an MP4 that the number in its header counts.
-        promised = sum(not one.is_discard for one in stream.index_entries) if "mp4" in file_format else stream.frames
+        entries = [entry for entry in stream.index_entries if not entry.is_discard]
+        promised = len(entries) if "mp4" in file_format else stream.frames
         luma_range = LUMA_RANGE.get(int(stream.codec_context.color_range), "not stated")
         codec, lossy = stream.codec_context.name, _lossy(stream.codec_context)
         seconds = (container.duration or 0) / av.time_base
-        index = _index(path, container, stream)
+        index = _index(path, container, stream, entries)
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = []
@@ -382,9 +383,9 @@ def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
     )
 
 
-def _index(path: Path, container: Any, stream: Any) -> _Index:
+def _index(path: Path, container: Any, stream: Any, entries: list[Any]) -> _Index:
+    """Return the index of the video `stream` of an open file (`container`), whose own index has these `entries`."""
     size = path.stat().st_size
-    entries = [entry for entry in stream.index_entries if not entry.is_discard]
     if entries and len(entries) == stream.frames and not stream.codec_context.has_b_frames:
         packets = [(entry.timestamp, entry.is_keyframe, False) for entry in entries if entry.pos + entry.size <= size]
     else:

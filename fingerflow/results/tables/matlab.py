@@ -11,12 +11,12 @@ import xarray as xr
 from fingerflow.results.atomic_write import write_atomically
 
 _ABOUT = (
-    "Points in `triangles`, and frames in `frame` and `onset_frame` (0 for a point that never touches), count from 1, "
-    "frames from the first in the file of the recording: position(frame == onset_frame(k), k, :). `meanings` has "
-    "those of the values 0, 1, 2 ... of a status: strsplit(meanings.status); `components` the names along the last "
-    "dimension."
+    "Points in `triangles`, and frames in `frame`, `key_frame` and `onset_frame` (0 for a point that never touches), "
+    "count from 1, frames from the first in the file of the recording: position(frame == onset_frame(k), k, :). "
+    "`meanings` has those of the values 0, 1, 2 ... of a status: strsplit(meanings.status); `components` the names "
+    "along the last dimension."
 )
-_COUNTED = ("frame", "onset_frame", "triangles")  # indices from 0 in a data set
+_COUNTED = ("frame", "onset_frame", "key_frame", "triangles")  # indices from 0 in a data set
 
 
 def save_matlab(result: xr.Dataset, path: Path) -> None:

@@ -10,16 +10,11 @@ a window of n px. All of them count, and not only the Laplacian, as a texture we
 The share is from slides and presses of other seeds and ways than those of the table in `docs/accuracy.md`.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine
-
-Array = NDArray[Any]
+from fingerflow.kernels.array_types import Array
 
 _SHARE = 0.8
 _GAUGE = 2.0  # windows, gauge length of the fits

@@ -1,15 +1,9 @@
 """Variance of displacements by image noise."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.tracker.onset import Touching
-
-Array = NDArray[Any]
 
 
 def noise_variance(now: Array, touch: Touching, adds_up: bool = False) -> Array:

@@ -4,18 +4,12 @@ It does not fall with the number of points. Tests with known truth: a press, a s
 passes.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.kernels.array_types import Array, Series
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM
 from fingerflow.tracker.deviations.smoothing import smoothing_variance
-
-Array = NDArray[Any]
 
 # Of the error of the ellipse's axes, the share by which the border lies too far out or in as a whole: 0.014 mm, as the
 # gross area errs by a hundredth. The rest changes the shape, which leaves medians as they are.
@@ -25,7 +19,7 @@ _AS_A_WHOLE = 0.4
 def bias_variance(
     engine: Engine, reference: Array, displacement: Array, ellipse: FrameEllipse, fields: FrameFields,
     entered: EnteredPoints | None, since_onset: Array,
-) -> tuple[NDArray[np.float64], FrameFields]:  # fmt: skip
+) -> tuple[Series, FrameFields]:  # fmt: skip
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy in n frames by the gauge length
     and by the border, NaN where a contact is too small for twice the gauge length; and the fields with that length.
 
@@ -51,7 +45,7 @@ def bias_variance(
     return by_gauge + np.square(_AS_A_WHOLE * inner), wide
 
 
-def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.float64]:
+def rank_variance(fields: FrameFields, entered: Array | bool) -> Series:
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that results
     from parts of the skin in contact whose values are unknown.
 
@@ -79,7 +73,7 @@ def rank_variance(fields: FrameFields, entered: Array | bool) -> NDArray[np.floa
     count, frame, field = np.add.reduce(whole, 2), np.arange(len(rows))[:, None], np.arange(5)
     ranks, last = np.add.reduce(ordered < fields.median[rows, :, None], 2), np.maximum(count - 1, 0)
 
-    def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    def squared_half_range(reach: Series) -> Series:
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
         for five deformation fields in k frames.
         """

@@ -1,18 +1,14 @@
 """Covariance of displacements by the uncertain time of the onset of contact."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.contact_border import BORDER_MM
-
-Array = NDArray[Any]
 
 #: mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
 ELLIPSE_MM = 0.035

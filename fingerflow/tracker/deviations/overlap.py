@@ -1,17 +1,13 @@
 """Correlation of tracking errors between points whose windows overlap, and what it does to a fitted gradient."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import squared_distances
-
-Array = NDArray[Any]
 
 # Correlation of displacements whose references are 0, 1, and 2 or more frames apart. The reference is the position in
 # one frame, or a mean of those in two frames, x + s (y - x) with s uniform from 0 to 1, of variance 2/3.

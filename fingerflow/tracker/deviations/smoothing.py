@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import FrameFields
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import squared_distances
-
-Array = NDArray[Any]
 
 _INSIDE = 1 / 3
 _BESIDE = 11.0  # per gauge length

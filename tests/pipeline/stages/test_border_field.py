@@ -48,7 +48,7 @@ def test_fit_is_that_of_the_most_likely_scale(numbers: int, noise: float, size: 
         functions, weighed = root[:, None] * functions_at(places[:, known]), (root * moved[:, known]).T
         squares, turned = np.linalg.eigh(functions.T @ functions)
         seen, values = turned.T @ functions.T @ weighed, []
-        for scale in border_field._SCALES[1:-1]:
+        for scale in border_field._SCALES:
             shrunk = 1 + scale * squares.clip(0)
             rest = (weighed**2).sum() - scale * (seen**2 / shrunk[:, None]).sum()
             spread = max(rest / weighed.size, 1)

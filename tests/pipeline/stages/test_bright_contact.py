@@ -1,37 +1,36 @@
 """Rigs in which contact appears bright: the same numbers as for dark contact, and warnings of the wrong setting."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from fingerflow import load_scene, process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
 
 BRIGHT = {'appears = "dark"': 'appears = "bright"'}
 WITHOUT_DARK = {"dark = ": "# dark = "}
-Frames = np.ndarray[Any, Any]
 
 
 @pytest.fixture
-def pictures(press: Path) -> dict[str, Frames]:
+def pictures(press: Path) -> dict[str, Array]:
     return {name: np.load(press / f"{name}.npy") for name in ("frames", "empty")}
 
 
 @pytest.fixture
-def negatives(press: Path, pictures: dict[str, Frames]) -> dict[str, Frames]:
+def negatives(press: Path, pictures: dict[str, Array]) -> dict[str, Array]:
     """Return the pictures with the negative of their contact view."""
-    view, negatives = load_scene(press / "scene.toml").views.contact, dict[str, Frames]()
+    view, negatives = load_scene(press / "scene.toml").views.contact, dict[str, Array]()
     for name, picture in pictures.items():
         negatives[name] = picture.copy()
         view.crop(negatives[name])[...] = 255 - view.crop(picture)
     return negatives
 
 
-def test_the_negative_of_a_recording_gives_the_same_numbers(negatives: dict[str, Frames], changed: Change) -> None:
+def test_the_negative_of_a_recording_gives_the_same_numbers(negatives: dict[str, Array], changed: Change) -> None:
     """The negative of a recording with `appears = "bright"` gives exactly the results of the recording itself."""
     dark_contact = process(changed(WITHOUT_DARK))
     bright_contact = process(changed(BRIGHT, **negatives))
@@ -47,7 +46,7 @@ def test_the_negative_of_a_recording_gives_the_same_numbers(negatives: dict[str,
         np.testing.assert_allclose(area[1:], dark_contact["real_contact_area"][1:], rtol=0.01, atol=0.01)
 
 
-def test_the_wrong_setting_is_named(pictures: dict[str, Frames], negatives: dict[str, Frames], changed: Change) -> None:
+def test_the_wrong_setting_is_named(pictures: dict[str, Array], negatives: dict[str, Array], changed: Change) -> None:
     """A recording with the other contrast is refused, and the refusal names the remedy."""
     for replaced, arrays, remedy in ((BRIGHT, pictures, "dark"), (WITHOUT_DARK, negatives, "bright")):
         with pytest.raises(

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from fingerflow import process
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.recordings.frames.recording import Recording
@@ -17,14 +18,13 @@ from fingerflow.schema.variables import FRAME_STATUS
 from tests.silent.case import played
 from tests.small_trials import SPOILED, scene_beside, warnings_of
 
-Frame = np.ndarray[Any, Any]
 FAR = "jumps_and_returns"
 AREAS = ("real_contact_area", "gross_contact_area", "contact_threshold")
 
 
 class Clean(NamedTuple):
     scene: Scene
-    frames: Frame
+    frames: Array
     result: xr.Dataset
 
 
@@ -35,7 +35,7 @@ def clean(trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Clean:
     return Clean(scene, np.load(scene.recording.frames), process(scene))
 
 
-def with_frames(clean: Clean, frames: Frame, folder: Path) -> Scene:
+def with_frames(clean: Clean, frames: Array, folder: Path) -> Scene:
     np.save(folder / "frames.npy", frames)
     return replace(clean.scene, recording=replace(clean.scene.recording, frames=folder / "frames.npy"))
 

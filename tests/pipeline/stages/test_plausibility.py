@@ -27,6 +27,7 @@ def test_what_is_plausible_says_nothing() -> None:
     messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
     messages += [plausibility.check_background(0.004, 0.88, 0), plausibility.check_views("", 0.0, 0.03)]
     messages += [plausibility.check_seeded_region(0.04), plausibility.check_gauge(1.6, 7.4)]
+    messages.append(plausibility.check_growth(force[8:16], np.full(8, gross[8])))  # of few frames none is the end
     # A bright spot, an even picture below full scale, and dark pictures are not saturated.
     spot, even = np.arange(1000) % 254, np.full(1000, 200)
     spot[:9] = 255
@@ -114,6 +115,17 @@ def test_the_centre_holds_a_rim_that_is_pale_on_one_side(
     result = process(changed(frames=pale), ["ellipse_center", "ellipse_center_std"])
     error = np.abs(result["ellipse_center"].values[-1] - TINY_PRESS.contact_centre)
     assert (error < 2.5 * result["ellipse_center_std"].values[-1]).all()
+
+
+def test_deviations_hold_impulses_and_too_narrow_an_average(changed: Change, frames: Array) -> None:
+    peppered = frames.copy()
+    peppered[:, ::7, 120::7] = 0
+    narrow = {"median_px = 3": "median_px = 1", "gross_radius_px = 8": "gross_radius_px = 5"}
+    result = process(changed(narrow, frames=peppered), ["gross_contact_area_std", "real_contact_area_std"])
+    for name in ("gross_contact_area", "real_contact_area"):
+        error = result[name].values[-1] - getattr(TINY_PRESS.truth, f"{name}_mm2")(7)
+        assert abs(error) < 2 * result[f"{name}_std"].values[-1], name
+    assert result["gross_contact_area"].attrs["faint_rim_mm"] > 0.05  # real prints of 13 px a ridge are off by that
 
 
 def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array) -> None:

@@ -15,19 +15,12 @@ from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.player.stream_scene import load_scene as load_stream
 from fingerflow.player.stream_scene import stream_settings
-from fingerflow.schema.region import ellipse_runs, polygon_runs
+from fingerflow.recordings.drawn_region import drawn_mask
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.views import DrawnEllipse, Region
 
 POINTS = "points = 700"
 CONTACT, TOPOGRAPHY = "[views.contact]", "[views.topography]"
-
-
-def mask_of(runs: Any, shape: tuple[int, int]) -> np.ndarray:
-    mask = np.zeros(shape, dtype=bool)
-    for row, first, end in runs:
-        assert not mask[row, first:end].any()
-        mask[row, first:end] = True
-    return mask
 
 
 @pytest.fixture
@@ -52,10 +45,11 @@ def test_a_region_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
     corners = np.stack([np.cos(turn), np.sin(turn)], 1) * random.uniform(5, 40, (9, 1)) + [37.3, 24.6]
     x, y = np.meshgrid(np.arange(80), np.arange(50))
     expected = Outline(corners).contains_points(np.stack([x.ravel(), y.ravel()], 1)).reshape(50, 80)
-    np.testing.assert_array_equal(mask_of(polygon_runs([tuple(one) for one in corners], 50, 80), (50, 80)), expected)
+    polygon = Region(polygon=tuple((x, y) for x, y in corners.tolist()))
+    np.testing.assert_array_equal(drawn_mask(polygon, (50, 80)), expected)
     x, y, angle = x - 41.3, y - 30.2, seed - 2.1
     along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-    found = mask_of(ellipse_runs((41.3, 30.2), (38.0, 17.0), angle, 50, 80), (50, 80))
+    found = drawn_mask(Region(ellipse=DrawnEllipse((41.3, 30.2), (38.0, 17.0), angle)), (50, 80))
     np.testing.assert_array_equal(found, (along / 38) ** 2 + (across / 17) ** 2 <= 1)
 
 

@@ -8,9 +8,8 @@ from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Picture
+from fingerflow.kernels.array_types import Array, Mask, Numbers, Picture
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
@@ -235,5 +234,5 @@ def _smooth(picture: Picture) -> Picture:
     return np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0))
 
 
-def _disc(radius: int) -> NDArray[np.uint8]:
+def _disc(radius: int) -> Array:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)

@@ -2,14 +2,16 @@
 
 import numpy as np
 
+from fingerflow.kernels.array_types import Numbers, Points
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.array_types import Numbers, Points
 from fingerflow.results.store import Values
 from fingerflow.tracker.onset import interpolate_displacement
 from fingerflow.tracker.vibration import FRAMES_READ
 
 
-def common_frame(position: Values, status: Values, first: int, backward: bool) -> tuple[Points, Numbers]:
+def common_frame(
+    position: Values, status: Values, first: int, backward: bool, mm_per_px: float
+) -> tuple[Points, Numbers]:
     """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
     later, and the frames (N,) in which they were seeded, from `position` (F, N, 2) mm and track `status` (F, N).
 
@@ -30,6 +32,6 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     seeded = np.where(later, frames - 1 - waiting if backward else waiting, first)
     for frame in sorted(set(seeded[later].tolist()), reverse=backward):
         now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))
-        moved, _ = interpolate_displacement(now, now - positions, now[new], fewest=1)
+        moved, _ = interpolate_displacement(now / mm_per_px, now - positions, now[new] / mm_per_px, fewest=1)
         positions[new] = now[new] - np.nan_to_num(moved)
     return positions, seeded

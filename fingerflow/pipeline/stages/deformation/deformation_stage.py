@@ -2,17 +2,17 @@
 fields by local fits, and medians over the gross contact.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.engines.engine import FrameEllipse
+from fingerflow.kernels.array_types import Numbers, Points
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.pipeline.stages.array_types import Numbers, Points
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.common_frame import common_frame
 from fingerflow.pipeline.stages.deformation.residual_deviations import residual_deviations
@@ -54,6 +54,7 @@ class DeformationStage(Stage):
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
         common_position: (N, 2) mm, of `common_frame`.
+        steady_position: (F, N, 2) mm, of the points, without the vibration of the image.
         seeded: (N,) frame in which a point was seeded.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
         onset: (N,) first frame of the touch that lasts; -1 for none, and for points that were seeded inside the
@@ -83,7 +84,6 @@ class DeformationStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
-        self._template = self.inputs.scene.tracking.template
         self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
         self._median, self._variance, self._bias = np.full((3, len(trial), 5), np.nan)
@@ -93,19 +93,20 @@ class DeformationStage(Stage):
         status = self.results["frame_status"][:]
         then, self.attributes = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
         self.by_onsets, self.reference_frame = then is None, then
-        points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
         first, position = int(usable[-1 if backward else 0]), self.results["position"]
-        self.common_position, self.seeded = common_frame(position, self.results["status"], first, backward)
+        self.common_position, self.seeded = common_frame(
+            position, self.results["status"], first, backward, self.mm_per_px
+        )
         self._later = self.seeded != first
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
         self._shaken, pressed = np.zeros((len(self.trial), 2), complex), inputs.scene.kind in ("press", "single_view")
         if pressed:
             counted = "displacement and strain are those without this motion, positions those with it"
-            in_contact = self.results["in_contact"]
-            self._shaken, vibrates = vibration(position, in_contact, usable, self.mm_per_px, counted)
+            self._shaken, vibrates = vibration(position, self.results["in_contact"], usable, self.mm_per_px, counted)
             self.warnings += vibrates
+        self.steady_position = SteadyPositions(position, self._shaken) if self._shaken.any() else position
         border = FrameEllipse(*(self.results[f"ellipse_{part}"][:] for part in FrameEllipse._fields))
         self.border = self._onset_border = border._replace(center=steady(border.center, self._shaken))
         self._dilated = inputs.scene.fields.reference == "dilated_onset"
@@ -113,11 +114,12 @@ class DeformationStage(Stage):
             axes = border.semi_axes + inputs.scene.contact.gross_radius_px * inputs.mm_per_px
             self._onset_border = self.border._replace(semi_axes=axes)
         begin = int(usable[0])
-        here = self.steady_position(np.array([begin]))
+        here = self.steady_position[begin : begin + 1]
         depth = self._onset_border.select(slice(begin, begin + 1)).inside(here)[0]
         self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & self.by_onsets)
         self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
+        points = position.shape[1]
         self._curvature_then = np.zeros(points, np.float32)
         if then is not None:
             # Positions of all points, and their variances, in the frame from which displacement counts.
@@ -128,11 +130,9 @@ class DeformationStage(Stage):
         moves_in = np.zeros(points, dtype=bool)
         if self.by_onsets:
             if pressed:
-                gross = self.results["gross_contact_area"][:]
-                self.warnings += plausibility.check_beginning(gross, self.first_frame)
-            gauge = inputs.scene.fields.gauge_length_mm
-            motion = self.onset, self.reference, gauge, self._onset_border
-            moves_in = advected(position, self.common_position, *motion)
+                self.warnings += plausibility.check_beginning(self.results["gross_contact_area"][:], self.first_frame)
+            motion = self.onset, self.reference, self._settings.gauge_length_mm, self._onset_border
+            moves_in = advected(self.steady_position, self.common_position, *motion)
             self.onset_variance, self.of_onset, self.independent = onset_errors(
                 *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
                 *(self._select_positions, self._onset_border, self.trial.stage(ContactStage).faint_rim_mm),
@@ -164,7 +164,7 @@ class DeformationStage(Stage):
         if "rigid_residual" in self.trial.requested:
             self.results.create("rigid_residual")
             self.results.create("rigid_residual_std")
-        widest = 2 * float(np.fmax.reduce(self.border.semi_axes[:, 1]))
+        widest = 2 * np.fmax.reduce(self.border.semi_axes[:, 1])
         self.warnings += plausibility.check_gauge(self._settings.gauge_length_mm, widest)
         # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = self.common_position if self.by_onsets else self.reference
@@ -173,12 +173,13 @@ class DeformationStage(Stage):
         window_px = self.inputs.scene.tracking.window_px
         errors = OverlapErrors(self.begins, positions_px, self.noise, self.of_onset, self.by_onsets, window_px)
         self._gain = errors.variance_gain(self._settings.gauge_length_mm / self.mm_per_px)
-        self._entry = None
-        if len(self.entered):
-            self._entry = EntryGradients(
-                *(self._engine, self.entered, self.common_position, self.onset, self._settings.gauge_length_mm),
-                self.onset_variance,
-            )
+        self._entry, self._late = EntryGradients(self._engine, self.common_position), np.zeros((2, len(self.onset)))
+        for onset in set(self.onset[self.entered].tolist()):
+            frames = np.array([onset]), np.array([max(onset - EntryGradients.BEFORE, 0)])
+            self._entry.learn(self.entered[self.onset[self.entered] == onset], *map(self._tracked, frames))
+        known = self.entered[self.onset[self.entered] >= EntryGradients.BEFORE]  # change before the entry
+        late = np.sqrt(self.onset_variance[known])[:, None, None] * self._entry.change[known]
+        self._late[:, known] = variance_of_late(late)
 
     def step(self, batch: Batch) -> Displacement:
         """Compute the results of a batch of frames, and return the displacement without touches that do not last."""
@@ -221,12 +222,11 @@ class DeformationStage(Stage):
         # A touch in passing counts from itself.
         passing = (self.onset < 0) | (frames[:, None] < self.onset) if self.by_onsets else None
         curvature = abs(skin.curvature * np.float32(self.mm_per_px**2) - self._curvature_then)
-        entered, late = None, np.zeros((2, len(self.reference)))
-        if self._entry is not None:
-            spread = self.tracked_variance(frames, "position_std_px")
-            entered = self._entry.update(frames, self.results["position"][frames], spread)
-            late[:, self.entered] = variance_of_late(self._entry.late)  # of points that have entered by now
-        more = self.of_onset, self._gain, entered, late, unseen, passing
+        entered = None
+        if len(self.entered):
+            entered = self._entry.since_entry(self.entered, *self._tracked(frames))
+            entered.gradient[frames[:, None] < self.onset] = np.nan
+        more = self.of_onset, self._gain, entered, self._late, unseen, passing
         return Displacement(self.reference, moved, noise, curvature, *more)
 
     def finish(self) -> None:
@@ -263,10 +263,14 @@ class DeformationStage(Stage):
         """
         return (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
 
+    def _tracked(self, frames: Numbers) -> tuple[Points, NDArray[np.float32]]:
+        """Return the positions (n, N, 2) mm in n frames without the vibration, and their variances (n, N) mm^2."""
+        return self.steady_position[frames], self.tracked_variance(frames, "position_std_px")
+
     def _skin(self, frames: Numbers) -> SkinFrames:
         """Return the tracked points in n frames."""
         whole, noise = (self.results[f"position_{of}_px"][frames] ** 2 for of in ("std", "noise"))
-        position, covered = self.steady_position(frames), self.results["in_contact"][frames]
+        position, covered = self.steady_position[frames], self.results["in_contact"][frames]
         return SkinFrames(frames, covered, position, noise, np.maximum(whole - noise, 0), self.border.select(frames))
 
     def _find_onsets(self) -> None:
@@ -326,7 +330,7 @@ class DeformationStage(Stage):
             begins = np.broadcast_to((indices == self.reference_frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)
-        noise = noise_variance(variance, touching, adds_up=self._template == "previous")
+        noise = noise_variance(variance, touching, adds_up=self.inputs.scene.tracking.template == "previous")
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return moved, noise
@@ -354,12 +358,20 @@ class DeformationStage(Stage):
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
         it, and their deviations (..., N) by image noise, mm.
         """
-        noise = select_frames(self.results["position_noise_px"], frames)
-        return steady(select_frames(self.results["position"], frames), self._shaken[frames]), self.mm_per_px * noise
+        noise = self.mm_per_px * select_frames(self.results["position_noise_px"], frames)
+        return select_frames(self.steady_position, frames), noise
 
-    def steady_position(self, indices: Numbers) -> Points:
-        """Return the positions (n, N, 2) mm of the points in n frames, without the vibration of the image."""
-        return steady(self.results["position"][indices], self._shaken[indices, None])
+
+class SteadyPositions:
+    """Positions (F, N, 2) mm of the points, from which the vibration `motion` (F, 2) of the image is subtracted as
+    frames are read.
+    """
+
+    def __init__(self, position: Values, motion: Any) -> None:
+        self._position, self._motion, self.shape = position, motion, position.shape
+
+    def __getitem__(self, frames: Any) -> Points:
+        return steady(self._position[frames], self._motion[frames, None])
 
 
 def _runs(frames: int) -> list[Numbers]:
@@ -367,7 +379,7 @@ def _runs(frames: int) -> list[Numbers]:
     return [np.arange(first, min(first + FRAMES_READ, frames)) for first in range(0, frames, FRAMES_READ)]
 
 
-def select_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> Points:
+def select_frames(values: Any, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> Points:
     """Return the values (..., P, ...) of P points, each taken from `values` (F, N, ...) in the frame that `frames`
     (..., P) gives for it; `points` are the indices of the points, by default all.
     """

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import nanmedian
-from fingerflow.pipeline.stages.array_types import Array
 
 # Measured on presses, slides and partial slips of real prints: the error of the rigid motion of least squares over the
 # median deviation of the points, and that of the median length over their mean deviation by curvature within windows,

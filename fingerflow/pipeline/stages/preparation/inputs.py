@@ -6,19 +6,19 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.engines.choice import ENGINES, engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.array_types import Array
+from fingerflow.kernels.array_types import Array, Picture, Series
+from fingerflow.pipeline.stages.preparation.recording_files import equal_recordings
 from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.keys import keys_of
-from fingerflow.schema.scene import Scene
+from fingerflow.schema.scene import Scene, check_scale
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
 
@@ -45,7 +45,7 @@ class Inputs:
 
     scene: Scene
     recording: Recording
-    times: NDArray[np.float64]
+    times: Series
     device: torch.device
     warnings: list[str]
     engine: Engine
@@ -67,7 +67,7 @@ class Inputs:
         scene = self.scene
         return Geometry(scene.calibration, scene.views.contact, scene.views.topography)
 
-    def tensor(self, values: NDArray[np.floating]) -> Tensor:
+    def tensor(self, values: Picture) -> Tensor:
         """Return an array as a float32 tensor on the device of the run."""
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
@@ -142,9 +142,7 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
-            same = still[self.scene.recording.first_frame :][: len(self.recording)]
-            alike, ends = len(same) == len(self.recording) > 1, [0, -1]
-            if alike and np.array_equal(read_frames(same[ends]), read_frames(self.recording[ends])):
+            if equal_recordings([path, self.recording.path]):
                 raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
@@ -188,7 +186,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
                 f"{scene.path}: recording.{name} is {number}, but {settings.frames} has {len(recording)} frames, 0 to "
                 f"{len(recording) - 1}"
             )
-    warnings = list(recording.warnings)
+    warnings = [*recording.warnings, *check_scale(scene)]
     if settings.last_frame is not None and settings.last_frame >= len(recording):
         warnings.append(
             f"recording.last_frame is {settings.last_frame}, but {settings.frames} ends with frame {len(recording) - 1}"

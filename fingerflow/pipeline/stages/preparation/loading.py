@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.array_types import Series
+from fingerflow.kernels.array_types import Series
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings import Forces, open_forces
@@ -99,12 +99,14 @@ class LoadingStage(Stage):
             return
         # Use quantiles, since the outer hundredth at either end may be noise or a shock.
         lowest, highest = np.quantile(normal, (0.01, 0.99))
+        limit = max(_LEAST_OFFSET, _OFFSET_SHARE * max(highest, -lowest))
         if -lowest > max(_LEAST_OFFSET, 3 * highest):
+            # Without a load a force is near 0, whatever its sign.
+            remedy = "sign = -1" if abs(highest) < limit else "offset or tare, and sign = -1 if pressing lowers it,"
             raise FingerflowError(
                 f"{file}: the normal force {column!r} lies between {lowest:.3g} and {highest:.3g} N: pressing must be "
-                "positive; give [forces] sign = -1 in the scene"
+                f"positive; give [forces] {remedy} in the scene"
             )
-        limit = max(_LEAST_OFFSET, _OFFSET_SHARE * highest)
         if self.inputs.scene.kind == "slip":
             return
         if lowest > limit:

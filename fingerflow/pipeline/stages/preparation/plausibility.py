@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.array_types import Mask, Series
 from fingerflow.kernels.field_limits import LEAST_SHARE
-from fingerflow.pipeline.stages.array_types import Mask, Series
 
 _FEW_RIDGES_MM2 = 1.0
 # Largest share of impulses among pixels; with twice as many 0.3 % of the positions are off by four deviations.
@@ -179,7 +179,7 @@ def check_onset(normal: Series, gross: Series, first_frame: int) -> Iterator[str
 def check_growth(normal: Series, gross: Series) -> Iterator[str]:
     """Yield a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
     measured = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
-    last = measured[-(len(measured) // 10) :]
+    last = measured[len(measured) - len(measured) // 10 :]
     if len(last) < 4:
         return
     parts = np.array_split(last, 3)
@@ -280,7 +280,7 @@ def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: floa
     """
     unknown = np.flatnonzero(np.isnan(median) & (gross > np.pi * gauge_mm**2))
     if len(unknown):
-        share = float(np.nan_to_num(coverage[unknown[0]]))
+        share = np.nan_to_num(coverage[unknown[0]])
         yield (
             f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
             f"{unknown[0] + first_frame}, and in part the strain energy: fields are known in {share:.0%} of the "

@@ -1,13 +1,11 @@
 """Masks of the regions of interest that a scene file defines in the views."""
 
-from dataclasses import asdict
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.region import region_runs
+from fingerflow.recordings.drawn_region import drawn_mask
 from fingerflow.schema.scene import Scene
 
 
@@ -21,12 +19,8 @@ def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
     if view.region is None:
         return None
     key = f"{scene.path}: views.{name}.region"
-    mask = np.zeros(view.shape, dtype=bool)
-    if view.region.mask is None:
-        for row, first, end in region_runs(asdict(view.region), *view.shape):
-            mask[row, first:end] = True
-    else:
-        path = view.region.mask
+    mask = drawn_mask(view.region, view.shape)
+    if (path := view.region.mask) is not None:
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE) if path.stat().st_size else None
         if picture is None:
             raise FingerflowError(f"{key}: {path} is no picture that can be read; save it as PNG")

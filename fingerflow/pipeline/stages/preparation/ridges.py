@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.pipeline.stages.array_types import Mask, Picture
+from fingerflow.kernels.array_types import Mask, Picture
 
 _SIDE_PX = 256  # longest side of the analysed patch of skin: a ridge then has some 10 px
 _MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are due to light and pressure

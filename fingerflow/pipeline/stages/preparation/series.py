@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fingerflow.pipeline.stages.array_types import Series
+from fingerflow.kernels.array_types import Series
 
 
 def rate(values: Series, times: Series, window_s: float, of_std: bool = False) -> Series:

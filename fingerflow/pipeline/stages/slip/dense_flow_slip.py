@@ -5,20 +5,17 @@ from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from fingerflow.engines.torch import images_on
+from fingerflow.kernels.array_types import Array, Field, Mask, Series
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow, flow_response
-from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
+from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
-
-Series = NDArray[np.float64]
-Array = NDArray[Any]
 
 # Median length of a vector whose two components have a standard deviation of 1.
 _MEDIAN_LENGTH = math.sqrt(2 * math.log(2))
@@ -120,14 +117,8 @@ class DenseFlowSlipStage(SlipStage):
         """
         moved = self.results["position"][frame : frame + 1][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
-        shape = (image.shape[-2], image.shape[-1])
         pixels = self.inputs.geometry.on_topography(grid.points).astype(np.float32)
-        motion = flow.follow(
-            image,
-            pixels,
-            (moved @ back).astype(np.float32),
-            lambda: self._spread((grid.displacement(moved) @ back).astype(np.float32), grid, shape),
-        )
+        motion = flow.follow(image, pixels, (moved @ back).astype(np.float32))
         both = np.dstack((motion.displacement, motion.variance))
         cells = _sampled(both, self.inputs.geometry.on_topography(grid.centers).astype(np.float32))
         if not np.isfinite(cells[grid.known, 2]).mean() >= _LEAST:
@@ -186,32 +177,16 @@ class DenseFlowSlipStage(SlipStage):
     def _noise_level(self, frame: int) -> float:
         return float(self._flow_deviation[frame])
 
-    def _columns_and_rows(self, grid: SlipGrid, shape: tuple[int, int]) -> tuple[Field, Field]:
-        """Return the position of every pixel of the topographic view in the grid of contact cells, as fractional column
-        and row, (H, W) each.
-        """
-        y, x = np.indices(shape)
-        pixels = np.stack((x, y), -1).astype(np.float64)
-        cells = (self.inputs.geometry.on_glass(pixels) - grid.centers[0, 0]) / (4 * grid.fine_mm)
-        column, row = (np.ascontiguousarray(cells[..., k], dtype=np.float32) for k in (0, 1))
-        return column, row
-
     def _pixel_mask(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
         """Return the mask (H, W) of the pixels of the topographic view that lie in contact cells near tracked points,
         dilated by `_BESIDE_PX`.
         """
-        near = cv2.remap(grid.known.astype(np.uint8), *self._columns_and_rows(grid, shape), cv2.INTER_NEAREST)
+        pixels = np.moveaxis(np.indices(shape)[::-1], 0, -1)
+        cells = (self.inputs.geometry.on_glass(pixels) - grid.centers[0, 0]) / (4 * grid.fine_mm)
+        column, row = cells.astype(np.float32).transpose(2, 0, 1)
+        near = cv2.remap(grid.known.astype(np.uint8), column, row, cv2.INTER_NEAREST)
         side = 2 * _BESIDE_PX + 1
         return cv2.dilate(near, np.ones((side, side), np.uint8)) > 0
-
-    def _spread(self, cells: Field, grid: SlipGrid, shape: tuple[int, int]) -> Field:
-        """Interpolate vectors (rows, columns, 2) of contact cells to the pixels (H, W, 2) of the topographic view;
-        cells far from all points take the nearest known value.
-        """
-        row, column = distance_transform_edt(~grid.known, return_distances=False, return_indices=True)
-        at = self._columns_and_rows(grid, shape)
-        wide = cv2.remap(cells[row, column].astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.nan_to_num(wide)
 
 
 def _sampled(field: Field, pixels: Field) -> Field:

@@ -2,21 +2,18 @@
 flow blurs the border of a stick region.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.kernels.array_types import Field, Mask, Series
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
-from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask
-
-Series = NDArray[np.float64]
+from fingerflow.pipeline.stages.tracking.new_skin import distances
 
 ROUGHNESS = 0.2  # roughness for `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
 _TEXTURE_PX = 17  # px, side of the window over which texture is measured: one period of the ridges
@@ -80,34 +77,32 @@ class SkinFlow:
         self._noise = self.template.variance.sqrt()
         self._last = image.new_zeros((1, 2, *mask.shape), dtype=self.template.value.dtype)
         self._speed = torch.zeros_like(self._last)
-        # True if skin in the last picture was lost: `expected` then gives its initial displacement.
-        self._unsure = False
         self._known = FlowMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
         self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
-    def follow(self, image: Tensor, positions: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
+    def follow(self, image: Tensor, positions: Field, moved: Field) -> FlowMotion:
         """Return the displacement of the skin from the first frame to `image`, the next frame of the recording.
 
         Args:
             image: (1, 1, H, W).
             positions: (P, 2) px of tracked points in the first picture.
-            moved: (P, 2) px, their displacement in this one, NaN where lost.
-            expected: returns an initial displacement (H, W, 2) px where the flow is lost.
+            moved: (P, 2) px, their displacement in this one, NaN where lost. Where the flow is lost it starts again
+                from that of the nearest points.
         """
         seen = np.isfinite(moved).all(-1)
-        nearest = _nearest_displacement(positions[seen], moved[seen], self._mask.shape)
-        start = self._last + self._speed
-        if self._unsure:
-            start = torch.where(start.isfinite(), start, _planes(expected(), start))
+        nearest = np.full((*self._mask.shape, 2), np.nan, np.float32)
+        if seen.any():
+            nearest = moved[seen][distances(positions[seen], self._mask.shape)[1]]
+        smooth = cv2.blur(np.nan_to_num(nearest), (_TEXTURE_PX, _TEXTURE_PX))
+        start, again = self._last + self._speed, _planes(np.asarray(smooth, np.float32), self._last)
+        start = torch.where(start.isfinite(), start, again)
         motion = self._match(image, start, 1, nearest)
         if motion.explained < _FEWEST:
-            start = _planes(expected(), start)
-            motion = _better(motion, self._match(image, start, 2, nearest))
+            motion = _better(motion, self._match(image, again, 2, nearest))
             if motion.explained < _FEWEST and self._picture is not None:
                 self._renew(self._picture)
-                motion = _better(motion, self._match(image, start, 2, nearest))
+                motion = _better(motion, self._match(image, again, 2, nearest))
         here = _planes(motion.displacement, start)
-        self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
         # The speed is set to 0 after a jump.
         step = (here - self._last).nan_to_num(0.0)
         self._speed = step if float(step.norm(dim=1).max()) < self._apart else torch.zeros_like(step)
@@ -162,22 +157,6 @@ def _planes(field: Field, like: Tensor) -> Tensor:
     return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
 
-def _nearest_displacement(positions: Field, moved: Field, shape: tuple[int, ...]) -> Field:
-    """Return for each pixel the displacement (H, W, 2) of the nearest tracked point, from `positions` (P, 2) px and
-    displacements `moved` (P, 2); NaN without points.
-    """
-    if not len(positions):
-        return np.full((*shape, 2), np.nan, np.float32)
-    empty = np.ones(shape, np.uint8)
-    column, row = np.clip(np.rint(positions).astype(int), 0, np.array(shape)[::-1] - 1).T
-    empty[row, column] = 0
-    # Zero pixels are labelled row by row; where points share a pixel, the last one is used.
-    _, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
-    of_label = np.zeros((int(label.max()) + 1, 2), np.float32)
-    of_label[label[row, column]] = moved
-    return of_label[label]
-
-
 def flow_response(template: FlowTemplate, image: Tensor, mask: Mask, mm_per_px: float) -> RampResponse:
     """Return the displacement that dense optical flow measures near a slip border, where the true displacement is 0 up
     to the border and increases linearly beyond it (a ramp), as a function of the signed distance, mm, outside of it.
@@ -212,7 +191,7 @@ def flow_response(template: FlowTemplate, image: Tensor, mask: Mask, mm_per_px: 
 
 
 def _blur(
-    template: FlowTemplate, image: Tensor, length: Field, mask: NDArray[np.bool_], beyond: Field,
+    template: FlowTemplate, image: Tensor, length: Field, mask: Mask, beyond: Field,
     distances: Series, axis: int,
 ) -> Series:  # fmt: skip
     """Return the mean error (K,) px of dense flow at `distances` (K,) px beyond a border, measured on the image after

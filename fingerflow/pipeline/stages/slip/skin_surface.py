@@ -2,10 +2,10 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, null_space
 from scipy.spatial.distance import cdist
 
-Points = NDArray[np.float64]
+from fingerflow.kernels.array_types import Points
+
 _FEWEST = 3  # least number of points for a plane
 
 
@@ -25,24 +25,18 @@ class SkinSurface:
     """
 
     def __init__(self, points: Points, positions: Points) -> None:
-        if len(points) < _FEWEST:
-            raise ValueError(f"{len(points)} points do not span an area: a displacement between them is not known")
-        centre = points.mean(0)
+        centre = points.mean(0, keepdims=True) if len(points) else np.zeros((1, 2))
         # Divide by the spread of the points, so that the matrices are well conditioned.
-        scale = float(np.abs(points - centre).max()) or 1.0
+        scale = float(np.abs(points - centre).max(initial=0)) or 1.0
         scaled, queries = (points - centre) / scale, (positions - centre) / scale
-        plane = np.concatenate((np.ones((len(scaled), 1)), scaled), 1)
-        free = null_space(plane.T, rcond=1e-9)
-        if free.shape[1] != len(scaled) - _FEWEST:
+        plane, lying = (np.insert(places, 0, 1, axis=1) for places in (scaled, queries))
+        if np.linalg.matrix_rank(plane, 1e-9) < _FEWEST:
             raise ValueError(f"{len(scaled)} points do not span an area: a displacement between them is not known")
-        bending = _kernel(cdist(scaled, scaled, "sqeuclidean"))
-        # The bending energy is positive definite on coefficients orthogonal to planes (Wahba 1990).
-        self._bend = np.zeros_like(bending)
-        if free.shape[1]:
-            self._bend = free @ cho_solve(cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1])), free.T)
-        level = np.linalg.pinv(plane) @ (np.eye(len(scaled)) - bending @ self._bend)
+        bending = _kernel(cdist(scaled, scaled, "sqeuclidean")) + 1e-12 * np.eye(len(scaled))
+        # The coefficients of the kernels are orthogonal to planes (Wahba 1990).
+        inverse = np.linalg.inv(np.block([[bending, plane], [plane.T, np.zeros((_FEWEST, _FEWEST))]]))
+        self._bend, level = np.split(inverse[:, : len(scaled)], [len(scaled)])
         between = _kernel(cdist(queries, scaled, "sqeuclidean"))
-        lying = np.concatenate((np.ones((len(queries), 1)), queries), 1)
         self._weights = (between @ self._bend + lying @ level).astype(np.float32)
 
     def __call__(self, moved: Points) -> NDArray[np.float32]:

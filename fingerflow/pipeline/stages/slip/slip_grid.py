@@ -1,20 +1,15 @@
 """Define two grids on the contact: cells, and a fine grid of four times the resolution."""
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, map_coordinates, uniform_filter
 from scipy.spatial import cKDTree
 
+from fingerflow.kernels.array_types import Array, Field, Mask
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.slip.skin_surface import SkinSurface
-
-Array = NDArray[np.float64]
-Field = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 _NEAREST = 4  # points whose mean displacement is that of the skin at the border
 _FINE = 4  # positions per cell along each axis: areas are then known to a thousandth of the contact
@@ -51,10 +46,7 @@ class SlipGrid:
         self.centers = np.stack(np.meshgrid(x, y), axis=-1)
         self.points = points
         self.fine_mm = cell_mm / _FINE
-        self.known: Mask = np.zeros(shape, dtype=bool)
-        if len(points):
-            distance, _ = cKDTree(points).query(self.centers.reshape(-1, 2))
-            self.known = (distance <= reach_mm).reshape(shape)
+        self.known: Mask = cKDTree(points).query(self.centers)[0] <= reach_mm
         self._surface = SkinSurface(points, self.centers[self.known])
         at = ((points - first_cell_mm) / cell_mm + 0.5) * _FINE - 0.5
         self._column, self._row = (
@@ -111,7 +103,7 @@ class SlipGrid:
         ahead = (centers - self.centers[after].mean(0)) @ pull > 0
         return np.array([gained[ahead].sum(), gained[~ahead].sum()])
 
-    def sample_points(self, fine: NDArray[Any]) -> NDArray[Any]:
+    def sample_points(self, fine: Array) -> Array:
         """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""
         return fine[self._row, self._column]
 

@@ -7,16 +7,16 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
+from fingerflow.kernels.array_types import Array, Field, Mask, Series
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.models import partial_slip
 from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
-from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid, growth_rates
+from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid, growth_rates
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
@@ -25,9 +25,6 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
 from fingerflow.tracker.area_steps import cut_shares
 from fingerflow.tracker.vibration import FRAMES_READ
-
-Series = NDArray[np.float64]
-Array = NDArray[Any]
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction

@@ -5,14 +5,12 @@ import math
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes
 
+from fingerflow.kernels.array_types import Field, Mask, Series
 from fingerflow.models.partial_slip.stick_border import BorderFit, RampResponse, border_level, fit_border
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
-
-Series = NDArray[np.float64]
+from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 
 # mm, largest level at the border; a higher one is not distinguishable from the displacement beside the border.
 _LARGEST_MM = 0.08
@@ -97,11 +95,9 @@ class StuckBorder:
         to_rim = self._grid.sample_points(_distance(~contact)) * self._grid.fine_mm
         used = np.isfinite(length) & (to_rim - np.maximum(depth, 0) > _APART * self._half)
         component = moved @ direction
-        bins = np.digitize(depth[used], self._edges) - 1
-        counted = (bins >= 0) & (bins < len(self._count))
-        values = component[used][counted]
+        values = component[used]
         for total, weights in ((self._count, None), (self._sum, values), (self._squares, values**2)):
-            total += np.bincount(bins[counted], weights, len(total))
+            total += np.histogram(depth[used], self._edges, weights=weights)[0]
         deep = used & (depth > _DEEP * self._half)
         self._deep_count += int(deep.sum())
         self._deep_sum += moved[deep].sum(0)

@@ -22,13 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import comb
 
-from fingerflow.pipeline.stages.array_types import Array, Numbers
+from fingerflow.kernels.array_types import Array
 
 _DEGREE = 8  # degree of the polynomials P_k
 _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this power of its degree
-_SCALES = 10 ** (np.arange(56) / 4 - 8.25)  # mm^2, candidates for t^2; the first and the last one bound the search
-# Fibonacci numbers: offsets of the first two of 55 steps between scales at which the likelihood is compared.
-_PROBES = 21, 34
+_SCALES = 10 ** (np.arange(54) / 4 - 8)  # mm^2, candidates for t^2
 # A share of the largest sum that keeps the normal equations positive definite also where the prior is wide: rounding
 # changes their eigenvalues by up to 8e-16 of that sum (3 to 550 points, weights that differ by up to 1e6).
 _ROUNDING = 1e-14
@@ -158,46 +156,28 @@ def _harmonics(i: NDArray[np.integer], j: NDArray[np.integer]) -> Array:
 def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tuple[Array, Array]:
     """Choose the prior standard deviation t of the first `smooth` coefficients in each of n fits by maximum likelihood,
     add 1 / t^2 (and 1 for the other coefficients) to the normal equations in place, and return the noise variance (n,)
-    relative to the stated one and twice the log-likelihood (n,).
+    relative to the stated one and twice the log-likelihood (n,), up to a constant.
 
-    The likelihood has one maximum, which Fibonacci search finds (Kiefer 1953). A Cholesky factor of the equations, with
-    the displacements as their last columns, gives both the determinant and, there, what the fit leaves of the squares.
+    The equations of the first coefficients, given the best others, are diagonal in their eigenvectors for every t.
     """
     functions = normal.shape[1] - 2
     diagonal = np.einsum("nkk->nk", normal)
-    sums = diagonal[:, :functions] + _ROUNDING * diagonal[:, :functions].max(1, keepdims=True)
-    sums[:, smooth:] += 1
-    diagonal[:, functions:] += numbers[:, None]  # keeps the diagonal positive despite rounding
-
-    def likelihood(scale: Numbers) -> tuple[Array, Array]:
-        """Return twice the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices
-        `scale` (n,), and the noise variance (n,) relative to the stated one.
-        """
-        set_prior(scale)
-        root = np.linalg.cholesky(normal)
-        rest = (root[:, functions:, functions:] ** 2).sum((1, 2)) / numbers - 2
-        noise = np.maximum(rest, 1)
-        # Half of the logarithm of the determinant of 1 + t^2 times the normal equations.
-        half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + smooth / 2 * np.log(_SCALES[scale])
-        return -numbers * (np.log(noise) + rest / noise) - 4 * half, noise
-
-    def set_prior(scale: Numbers) -> None:
-        diagonal[:, :functions] = sums
-        diagonal[:, :smooth] += 1 / _SCALES[scale, None]
-
-    near, far = _PROBES
-    low = np.zeros(len(normal), np.intp)
-    left, right = (likelihood(low + step) for step in (near, far))
-    while far > 2:
-        up = right[0] > left[0]
-        low = low + near * up
-        near, far = far - near, near
-        probe = likelihood(low + np.where(up, far, near))
-        left, right = np.where(up, (right, probe), (probe, left))
-    up = right[0] > left[0]
-    set_prior(low + np.where(up, far, near))
-    evidence, noise = np.where(up, right, left)
-    return noise, evidence
+    diagonal[:, :functions] += _ROUNDING * diagonal[:, :functions].max(1, keepdims=True)
+    diagonal[:, smooth:functions] += 1
+    kept = np.r_[:smooth, functions : functions + 2]
+    others, mixed = normal[:, smooth:functions, smooth:functions], normal[:, smooth:functions, kept]
+    left = normal[:, kept[:, None], kept] - mixed.mT @ np.linalg.solve(others, mixed)
+    squares, turned = np.linalg.eigh(left[:, :smooth, :smooth])
+    seen = ((turned.mT @ left[:, :smooth, smooth:]) ** 2).sum(2)
+    scales = _SCALES[:, None, None]
+    shrunk = 1 + scales * squares.clip(0)  # (scales, n, smooth)
+    rest = (np.trace(left[:, smooth:, smooth:], axis1=1, axis2=2) - (scales * seen / shrunk).sum(2)) / numbers
+    noise = np.maximum(rest, 1)
+    determinant = np.log(shrunk).sum(2) + np.linalg.slogdet(others)[1]
+    likelihood = -numbers * (np.log(noise) + rest / noise) - 2 * determinant
+    best = likelihood.argmax(0), np.arange(len(normal))
+    diagonal[:, :smooth] += 1 / _SCALES[best[0], None]
+    return noise[best], likelihood[best]
 
 
 def _powers(values: Array, highest: int) -> Array:

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from scipy.special import ellipe
 
+from fingerflow.kernels.array_types import Array, Mask, Numbers
 from fingerflow.kernels.arrays import is_finite
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
-from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
 
 Motion = Callable[[Numbers], Array]  # of points, in frames with these numbers

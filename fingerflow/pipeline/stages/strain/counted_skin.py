@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
+from fingerflow.kernels.array_types import Mask, Numbers, Points
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.array_types import Mask, Numbers, Points
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, select_frames
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
@@ -41,7 +41,7 @@ class CountedSkin:
     """
 
     def __init__(self, stage: DeformationStage, results: Store, frames: int) -> None:
-        self._stage, self._position, self.by_onsets = stage, results["position"], stage.by_onsets
+        self._stage, self._position, self.by_onsets = stage, stage.steady_position, stage.by_onsets
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference = stage.reference.copy()
         reference[stage.entered] = np.nan
@@ -79,8 +79,6 @@ class CountedSkin:
     def _advected(self, points: Mask) -> NDArray[np.int32]:
         """Return the triangles (M, 3) of touching `points` (N,) with a corner that was advected into the contact."""
         stage = self._stage
-        if not len(stage.entered):
-            return np.zeros((0, 3), np.int32)
         triangles = triangulate(np.where((points & (stage.onset >= 0))[:, None], stage.common_position, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
@@ -111,8 +109,6 @@ class CountedSkin:
         the tracked points, followed by copies of points that are corners of triangles with another reference frame.
         """
         stage, points = self._stage, self._points
-        if not len(points):
-            return moved.displacement, moved.variance, moved.curvature
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
         separate = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
         # Half of a position's variance is noise of its template, the same in every frame, as for all points.
@@ -151,9 +147,7 @@ def _skins(status: Values, seeded: Numbers) -> list[tuple[Mask, int]]:
 def triangulate(positions: Points) -> NDArray[np.int32]:
     """Return Delaunay triangles (M, 3) of all points with finite positions; none if the points span no area."""
     finite = np.flatnonzero(np.isfinite(positions).all(-1)).astype(np.int32)
-    if len(finite) < 3:
-        return np.zeros((0, 3), dtype=np.int32)
     try:
         return finite[Delaunay(positions[finite]).simplices]
-    except QhullError:  # all points lie on one line
+    except (QhullError, ValueError):  # fewer than three points, or all on one line
         return np.zeros((0, 3), dtype=np.int32)

@@ -8,8 +8,8 @@ off.
 
 import numpy as np
 
+from fingerflow.kernels.array_types import Series
 from fingerflow.kernels.result_records import FrameEllipse
-from fingerflow.pipeline.stages.array_types import Series
 
 # mm, unit of the distance between borders: a border at a ridge period of 0.45 mm has a third of the weight.
 _NEAR_MM = 0.3

@@ -5,12 +5,12 @@ from bisect import bisect_left
 import numpy as np
 import torch
 
+from fingerflow.kernels.array_types import Array, Mask, Numbers, Series
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import principal_deviations, principal_strains, strain_energy_density_std
 from fingerflow.ops.fields.triangle_strain import TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
-from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Series
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -136,6 +136,10 @@ class StrainStage(Stage):
             if name in self.results:
                 self.results[name][batch.indices] = computed.cpu().numpy()
         deviation = stated.energy_std.cpu().numpy()
+        if self.inputs.scene.tracking.template == "previous":
+            # Errors that add up cancel in part, so that of what is taken for noise some is strain.
+            raw = self._triangle_strain(displacement, 0 * covariance, touching)
+            deviation = np.hypot(deviation, (raw.energy - corrected.energy).cpu().numpy())
         if not self._begins_free:
             deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, corrected.energy, touching))
         self._sum_up(batch, touching, corrected.density.cpu().numpy(), corrected.energy.cpu().numpy(), deviation)
@@ -168,7 +172,7 @@ class StrainStage(Stage):
         """
         frames, border = batch.indices, self._border.select(batch.indices)
         steady = self.trial.stage(DeformationStage).steady_position
-        position, moved = steady(frames), batch.steps[DeformationStage]
+        position, moved = steady[frames], batch.steps[DeformationStage]
         # Skin that was in contact when its points were seeded has no strain, and that of the rest is not its own.
         seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
         unknown = 2 * (seen & np.isfinite(moved.displacement[..., 0])).sum(1) < seen.sum(1)
@@ -193,7 +197,7 @@ class StrainStage(Stage):
 
         def since_growth(rows: Numbers) -> Series:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
-            then = np.concatenate([steady(run) for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
+            then = np.concatenate([steady[run] for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
             return position[rows] - then[number]
 
         whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
@@ -236,11 +240,8 @@ class StrainStage(Stage):
 
         Corners are added one by one, as sums over an axis of three take longer.
         """
-        first, *rest = self._skin.triangles.T
-        total = values.take(first, axis=1)
-        for corner in rest:
-            total += values.take(corner, axis=1)
-        return total
+        first, second, third = (values.take(corner, axis=1) for corner in self._skin.triangles.T)
+        return first + second + third
 
     def finish(self) -> None:
         gross, depth = self.results["gross_contact_area"][:], self._settings.depth_mm

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers, Points
+from fingerflow.kernels.array_types import Array, Mask, Numbers, Points
 
 _STEP = 2  # cells between sampled positions
 _AHEAD = 2.0  # prediction time in intervals between calls: until the next call but one
@@ -152,7 +152,7 @@ class NewSkin:
         return distances(position, self.searched[0].shape)[0] < spacing / 2
 
 
-def distances(points: Points, shape: tuple[int, ...]) -> tuple[Array, Numbers]:
+def distances(points: Array, shape: tuple[int, ...]) -> tuple[Array, Numbers]:
     """Return, for every pixel of a picture, its distance (h, w) px from the nearest point, exact to half a pixel, and
     the index (h, w) of that point; points (N, 2) px outside the picture do not count.
     """

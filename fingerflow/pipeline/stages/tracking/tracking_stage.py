@@ -8,16 +8,15 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Images, TrackedPoints, noise_of, select
 from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.kernels.array_types import Array, Mask, Numbers
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
-from fingerflow.pipeline.stages.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -118,7 +117,7 @@ class TrackingStage(Stage):
 
     def _step_through(self, images: Images, indices: Numbers, margin: Array) -> None:
         groups: list[TrackedPoints] = []
-        curved: list[NDArray[np.float32]] = []
+        curved: list[Array] = []
         motion = _motion(self._seeded) if self._seeded else None
         for points, numbers in zip(self._seeded, self._around, strict=True):
             around = select(join(groups, 1), slice(None), numbers) if groups else None

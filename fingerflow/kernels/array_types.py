@@ -1,4 +1,4 @@
-"""Types of the arrays of the stages."""
+"""Types of the arrays of points, frames and pictures."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+Field = NDArray[np.float32]  # (rows, columns, ...)
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]  # indices of frames, points or cells
 Picture = NDArray[np.floating]  # (h, w)
