@@ -5,8 +5,7 @@ the frame with most of it. Both choose points in `[stream] region`, as many as t
 largest of all frames with 5 mm2 of gross contact and more, nothing where one is not known in one of them: areas as a
 share of those of `process`, the median divergence in 1e-3 (um a mm), and `rms` the root mean square of the latter.
 `same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe by the same
-engine: at another pace (`rate_hz`, none: as fast as it goes), or with two frames beside each other. ONNX Runtime
-predicts two frames ahead, the compiled library (`native`) one. `error` is the largest difference of the median
+engine, at another pace (`rate_hz`, none: as fast as it goes). `error` is the largest difference of the median
 divergence to the truth, in the same unit; that of `process` stands in the first row.
 """
 

@@ -34,7 +34,7 @@ from distributed import LocalCluster
 
 from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row, number
-from bench.suites.pipeline import PIPELINES
+from bench.suites.pipeline import opencv_cpu_ms
 from fingerflow.study.cluster import run_on_workers
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
@@ -99,22 +99,16 @@ def _study(folder: Path, press: Press, count: int, workers: int) -> dict[str, st
 def _opencv(recording: Path, press: Press, count: int) -> dict[str, str | float]:
     context = multiprocessing.get_context("spawn")
     with _used() as used, context.Pool(WORKERS, initializer=_one_thread) as pool:
-        spent = pool.starmap(_by_opencv, [(recording, press)] * count, chunksize=1)
+        spent = pool.starmap(opencv_cpu_ms, [(recording, press)] * count, chunksize=1)
         pool.close()
         pool.join()
     frames = count * press.n_frames
-    return _row("opencv", WORKERS, count, frames, used) | {"in_trials_ms_frame": 1e3 * sum(spent) / frames}
+    return _row("opencv", WORKERS, count, frames, used) | {"in_trials_ms_frame": sum(spent) / count}
 
 
 def _one_thread() -> None:
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
-
-
-def _by_opencv(recording: Path, press: Press) -> float:
-    start = time.process_time()
-    PIPELINES["opencv"](recording, press)
-    return time.process_time() - start
 
 
 def _nothing(_: int) -> int:
