@@ -82,7 +82,7 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> tuple
     sine_sum, cosine_sum = z * between / both, (z * z - first * second) / both
     ahead = cosine_sum > 0
     # sin^2 and cos^2 of Sigma / 2: the smaller is computed from sin Sigma, the larger from cos Sigma.
-    large = (1 + cosine_sum.abs()) / 2
+    large = (1 + torch.where(ahead, cosine_sum, -cosine_sum)) / 2  # `abs` would have no slope at 0
     small = sine_sum * sine_sum / (4 * large)
     sine_half, cosine_half = torch.where(ahead, small, large), torch.where(ahead, large, small)
     small_angle = theta < 1

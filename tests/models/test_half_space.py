@@ -59,9 +59,10 @@ def test_batches_and_depth_maps_in_pieces(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_differentiable() -> None:
-    y = tensor(-3.0, 0.2, 0.5, 40.0).requires_grad_()
-    z = tensor(0.3, 1.0, 5.0, 2.0).requires_grad_()
-    edges = tensor(-0.5, 0.1, 0.7).requires_grad_()
+    # At the last point z^2 is the product of the distances from the first two edges: Sigma is a right angle.
+    y = tensor(-3.0, 0.2, 0.5, 40.0, 0.625).requires_grad_()
+    z = tensor(0.3, 1.0, 5.0, 2.0, 0.75).requires_grad_()
+    edges = tensor(-0.5, 0.125, 0.7).requires_grad_()
     pressure, traction = tensor(1.0, 2.0).requires_grad_(), tensor(0.3, -0.4).requires_grad_()
 
     assert torch.autograd.gradcheck(stress, (y, z, edges, pressure, traction))
