@@ -40,8 +40,10 @@ class SinceOnset:
 
     @property
     def area_median(self) -> Tensor:
-        """Return the median (T, ...) of the divergence, weighted by contact area as over the pixels of an image."""
-        return weighted_median(self.divergence_field.nan_to_num(0.0), self.ring_area)
+        """Return the median (T, ...) of the divergence, weighted by contact area as over the pixels of an image; NaN
+        where fewer than two elements touch.
+        """
+        return weighted_median(self.divergence_field.nan_to_num(0.0), self.ring_area * self.divergence_field.isfinite())
 
     def mean_within(self, share: float) -> Tensor:
         """Return the mean divergence (T, ...) over the inner part of the contact, a disc whose radius is a `share` of

@@ -58,6 +58,8 @@ def test_a_press_with_more_friction_spreads_less_since_the_onset() -> None:
     found = since_onset(pressed)
     assert (found.mean_within(0.6)[-1].diff() < 0).all()
     assert found.area_median[0].isnan().all()
+    # The element on the axis touches first, and has no neighbour from which to compute a gradient.
+    assert since_onset(follow(0.2, time[:2], 0.004, elements=51)).area_median.isnan().all()
     assert found.contact_area[-1].sub(math.pi / 4 * pressed.contact_length[-1].square()).abs().max() < 1e-15
 
 
