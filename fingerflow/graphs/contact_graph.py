@@ -49,6 +49,7 @@ class ContactGraph(nn.Module):
         region = apparent_contact(mask, self.gross_radius_px, self.cell_px, light.dtype)
         return region._replace(illumination_gain=gain)
 
+    @without_autocast
     def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
         """Measure the contact threshold (B,): the relative intensity loss at the edges of ridges in contact.
 

@@ -196,3 +196,11 @@ def test_a_stride_has_nearly_the_threshold_of_all_pixels(stride: int) -> None:
     light, _ = drawn((120, 95))
     exact, coarse = (measured(light, 2.0, ContactGraph(3, stride_px=step)).threshold for step in (1, stride))
     torch.testing.assert_close(coarse, exact, rtol=0, atol=0.001 * stride)
+
+
+@pytest.mark.usefixtures("each_form")
+def test_autocast_does_not_round_the_threshold() -> None:
+    light, _ = drawn((90, 40))
+    exact = measured(light, 4.0).threshold
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(measured(light, 4.0).threshold, exact)
