@@ -179,7 +179,7 @@ class NativeEngine:
         noise = None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
         fit = local_gradients(reference, rest, reference, noise, radius=self.settings.gauge_length_mm / 2)
         gradient, spread = fit.gradient, fit.covariance
-        lost = ~is_finite(rest)
+        lost = ~is_finite(rest) if noise is None else ~(is_finite(rest) & np.isfinite(noise).all(-1))
         added = np.float32(SHARPENED) * (rest - fit.value)
         sharp = displacement + np.where(np.isfinite(added), added, 0)
         gradient[lost] = _UNKNOWN

@@ -15,7 +15,7 @@ from torch.utils._pytree import tree_map
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import TOLERANCES, BuiltIn, built_in, check_engine, expected_of, numbers_of
 from fingerflow.engines.choice import open_onnx
-from fingerflow.engines.engine import Array, Engine, EngineSettings
+from fingerflow.engines.engine import Array, Engine, EngineSettings, FrameEllipse
 from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.native import NativeEngine
 from fingerflow.engines.torch import TorchEngine
@@ -126,6 +126,14 @@ def test_the_truth_of_both_motions(engine: Engine, frames: list[BuiltIn]) -> Non
         np.testing.assert_allclose(numbers["fit"].mean(0)[1, 1], -stretch / 2, rtol=0.02)
     np.testing.assert_allclose(results[0]["gross_area_px"], np.pi * 0.36 * 128 * 0.3 * 96, rtol=0.05)
     assert results[1]["gross_area_px"] == 0
+
+
+def test_a_point_of_unknown_deviation_has_no_gradient(engine: Engine) -> None:
+    reference = np.indices((9, 9), np.float32).reshape(2, -1).T * np.float32(0.2)
+    covariance, one = np.full((1, 81, 2, 2), np.eye(2), np.float32), np.ones((1, 2), np.float32)
+    covariance[0, 40] = np.nan
+    fields = engine.fields(reference, reference[None], FrameEllipse(one, one, one[:, 0]), covariance)
+    assert np.isnan(fields.divergence).nonzero()[1] == [40]
 
 
 @pytest.mark.parametrize("method", METHODS)
