@@ -10,7 +10,7 @@ from fingerflow.kernels.detection_limits import BOX, NOISE, QUALITY
 from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.contact.mask_bounds import mask_bounds
 from fingerflow.ops.filters.box_sum import box_sum
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.full_precision import without_autocast
 from fingerflow.ops.tensors import finite
 
@@ -51,9 +51,7 @@ class DetectGraph(nn.Module):
         """
         view = topography_view.to(self.precision)
         height, width = view.shape[-2:]
-        noise = estimate_noise(view).square().reshape(-1, 1, 1, 1)
-        if not topography_view.is_floating_point():
-            noise = noise + 1 / 12  # variance of the rounding to whole grey levels
+        noise = estimate_noise(view).square().reshape(-1, 1, 1, 1) + rounding_variance(topography_view)
         edge = min(self.border_px, (min(height, width) - 1) // 2)
         count = min(self.points, height * width)
         # No corner lies outside the mask: crop to the mask and the margin that decides on local maxima.

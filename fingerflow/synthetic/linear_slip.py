@@ -30,7 +30,6 @@ class LinearSlip(PartialSlip):
     """
 
     last: float = 0.2
-    kinetic_friction: float = 0.4
     bend: float = 1.0
     swing: float = 0.0
 

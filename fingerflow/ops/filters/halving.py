@@ -14,7 +14,8 @@ def halved_image(images: Tensor) -> Tensor:
     This is several times as fast as torch's pooling.
 
     Returns:
-        (B, 1, H // 2, W // 2), without the last row or column of odd sizes; float64 for float64 images, else float32.
+        (B, 1, H // 2, W // 2), without the last row or column of odd sizes, of the dtype of floating images, else
+        float32.
 
     Raises:
         ValueError: smaller images.

@@ -12,7 +12,7 @@ from fingerflow.ops.branching import may_branch
 from fingerflow.ops.checks import check_frames
 from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.filters.box_sum import box_sum
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tensors import hypotenuse
 
 _GRADIENT_SCALE = 8  # ratio of the integer Sobel gradient to the gradient per pixel
@@ -211,7 +211,7 @@ def _noise_deviation(frame: Tensor) -> Tensor:
         mean = zeroed.sum((1, 2, 3), keepdim=True) / finite.sum((1, 2, 3), keepdim=True).clamp(min=1)
         return estimate_noise(torch.where(finite, values, mean))
     # Rounding turns noise below one grey level into a few isolated steps, which a mean absolute value underestimates.
-    return (estimate_noise(frame).square() + 1 / 12).sqrt()
+    return (estimate_noise(frame).square() + rounding_variance(frame)).sqrt()
 
 
 @torch_op(shapes=lambda _, candidate, count, __: candidate.new_empty(candidate.shape[0], count, dtype=torch.int64))
