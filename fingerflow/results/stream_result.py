@@ -12,10 +12,10 @@ from fingerflow.recordings.lens import Geometry
 from fingerflow.results.store import labelled
 from fingerflow.results.stream_folder import Array, StreamResults, read_results
 from fingerflow.schema.scene_tables import CalibrationSettings, ContactSizes
-from fingerflow.schema.variables import CONTACT, DISPLACEMENT, FIELDS, FRAME_CHECK, STREAM, TRACKING, by_name
+from fingerflow.schema.variables import CONTACT, DISPLACEMENT, FIELDS, FRAME_CHECK, LOADING, STREAM, TRACKING, by_name
 from fingerflow.schema.views import Rectangle
 
-_VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, DISPLACEMENT, FIELDS, STREAM)
+_VARIABLES = by_name(FRAME_CHECK, LOADING, CONTACT, TRACKING, DISPLACEMENT, FIELDS, STREAM)
 _TRACKED = 0  # value of `status` for a tracked point
 # Fields that depend on the gauge length.
 _WITH_GAUGE = "divergence", "divergence_std", "curl", "curl_std", "median_divergence", "median_curl", "median_strain"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tiny_bundle import Stream, frame, write_scene
 
-from fingerflow import player
+from fingerflow import open_stream, player
 from fingerflow.errors import PlayerError
 from fingerflow.player.addresses import open_address
 from fingerflow.player.live_forces import LiveForces, SensorForces
@@ -63,8 +63,8 @@ def test_one_to_three_forces_are_a_sample(given: tuple[float, ...], normal: floa
 
 
 def test_forces_go_into_records_outputs_and_triggers(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forces of the scene are in the records, trigger an output, and are sent with it: the force grows by 0.1 N a
-    frame, so that the condition `normal_force > 0.45 N` triggers at frame 5.
+    """Forces of the scene are in the data set of the stream, trigger an output, and are sent with it: the force grows
+    by 0.1 N a frame, so that the condition `normal_force > 0.45 N` triggers at frame 5.
     """
     values = list[dict[str, float]]()
     _module(monkeypatch, take=lambda stamp, given: values.append({"frame": stamp.number, **given}))
@@ -74,13 +74,13 @@ def test_forces_go_into_records_outputs_and_triggers(stream: Stream, monkeypatch
     (stream.bundle / "f.csv").touch()
     forces = LiveForces(0, {"normal_force": 0.1 * np.arange(8)})
     stream.play = lambda arguments: player.main(arguments, forces_of=lambda scene: forces)
-    ended = stream.run("--when", "normal_force > 0.45 N", "--then", "callback:sensor_of_the_test:take")
-    np.testing.assert_allclose(ended.results.records["normal_force"], 0.1 * np.arange(8), atol=1e-12)
+    stream.run("--when", "normal_force > 0.45 N", "--then", "callback:sensor_of_the_test:take")
+    opened = open_stream(stream.folder / "results")
+    np.testing.assert_allclose(opened.normal_force, 0.1 * np.arange(8), atol=1e-12)
     (sent,) = values
     assert (sent["frame"], sent["normal_force"]) == (5, pytest.approx(0.5))
-    units = {field["name"]: field["unit"] for field in ended.results.header["fields"]}
-    assert units["normal_force"] == "N"
-    assert "tangential_force" not in units
+    assert opened.normal_force.units == "N"
+    assert "tangential_force" not in opened
 
 
 def _module(monkeypatch: pytest.MonkeyPatch, **members: Any) -> None:

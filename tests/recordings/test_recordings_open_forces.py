@@ -66,7 +66,7 @@ def test_delimited_text(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor", "encoding"), [("µN", 1e-6, "utf-8-sig"), ("uN", 1e-6, "latin-1"), ("kgf", 9.80665, "latin-1")]
+    ("unit", "factor", "encoding"), [("µN", 1e-6, "utf-8-sig"), ("uN", 1e-6, "latin-1"), ("g", 9.80665e-3, "latin-1")]
 )
 def test_forces_become_newtons(tmp_path, unit, factor, encoding):
     content = f"time (s),normal ({unit}),tangential [N],trigger (mV)\n" + rows()
@@ -165,8 +165,8 @@ def test_a_line_that_is_cut_off_does_not_count(tmp_path):
     [
         (CSV["comma"], {"channels": ["normal", "shear"]}, r"'shear'.*'normal', 'tangential', 'trigger'"),
         (CSV["comma"], {"trigger": "sync"}, r"'sync'.*'trigger'"),
-        ("time (s),normal (lbf)\n0,1\n1,2\n", {}, r"'normal' is in 'lbf'.*mN"),
-        ("time (s),normal\n0,1\n1,2\n", {}, r"'normal' has no unit.*units="),
+        ("time (s),normal (lbf)\n0,1\n1,2\n", {}, r"in 'lbf'.* scene give \[forces\] units \(N, mN, g, kgf or V\)"),
+        ("t,way\n0,1\n1,2\n", {"lengths": ["way"]}, r"'way' has no unit.*units=.* scene write \(mm\) in its heading"),
         ("time (s),normal (N),normal (N)\n0,1,2\n", {}, "'normal' appears twice"),
         ("", {}, "no line"),
     ],

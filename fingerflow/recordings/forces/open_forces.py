@@ -29,7 +29,7 @@ READER_OF = {
     ".tdms": "tdms",
 }
 TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
-TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # with standard gravity (CGPM 1901), exact
+TO_NEWTON |= {"g": 9.80665e-3, "gf": 9.80665e-3, "kgf": 9.80665}  # with standard gravity (CGPM 1901), exact
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
@@ -53,8 +53,8 @@ def open_forces(
 
     path: CSV or other delimited text including LabVIEW's `.lvm`, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
     channels: names of the columns to keep, or a mapping from channel names to columns; by default all.
-    units: unit of a column by its name in the file; overrides the file. Forces in N, mN, kN, uN, gf or
-        kgf become N; V and mV become V; a time column may be in s, ms, us or min (s if nothing is stated).
+    units: unit of a column by its name in the file; overrides the file. Forces in N, mN, kN, uN, g (gf)
+        or kgf become N; V and mV become V; a time column may be in s, ms, us or min (s if nothing is stated).
     time: name of the time column. By default the one called as in `TIME_NAMES`, in upper or lower case.
     sample_rate: Hz, for a file without times, or with times of too few digits; overrides the rate that the file
         states. If a time column increases throughout and has another rate, that is an error.
@@ -290,7 +290,7 @@ def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool)
     state = "has no unit" if unit is None else f"is in {unit!r}, which is not known"
     raise FingerflowError(
         f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {accepted}, in a scene "
-        "[forces] units, or leave the column out with channels="
+        f"{'write (mm) in its heading' if is_length else 'give [forces] units (N, mN, g, kgf or V)'}, or leave it out"
     )
 
 

@@ -18,8 +18,6 @@ _OFFSET_SHARE = 0.05  # smallest such offset as a share of the largest force
 _LEAST_TANGENTIAL = 0.05  # N, tangential force below which its direction is undefined
 # Names of the channels of a tangential force with one or two components.
 _TANGENTIAL = ("tangential_force", "tangential_force_across")
-# Units in the scene, and the names by which `open_forces` knows them.
-_UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}
 
 
 class LoadingStage(Stage):
@@ -41,7 +39,7 @@ class LoadingStage(Stage):
         forces = open_forces(
             settings.file,
             channels=names | travel,
-            units=None if settings.units is None else dict.fromkeys(names.values(), _UNITS[settings.units]),
+            units=None if settings.units is None else dict.fromkeys(names.values(), settings.units),
             time=settings.time,
             sample_rate=settings.sample_rate,
             trigger=settings.trigger,

@@ -304,7 +304,8 @@ def check_energy(gross: Series, misfit: Mask, gauge_mm: float, first_frame: int)
 def check_gauge(gauge_mm: float, contact_mm: float) -> Iterator[str]:
     """Yield a warning if the gauge length is large beside the least diameter `contact_mm` of the largest contact."""
     if gauge_mm > _MOST_GAUGE * contact_mm:
+        most_mm = np.floor(100 * _MOST_GAUGE * contact_mm) / 100  # rounded down, so that it brings no warning itself
         yield (
             f"fields.gauge_length_mm = {gauge_mm:g} is over a third of the width of the contact ({contact_mm:.2g} mm): "
-            f"fields are smoothed by more than their deviations state. Take {_MOST_GAUGE * contact_mm:.2g} mm or less"
+            f"fields are smoothed by more than their deviations state. Take {most_mm:g} mm or less"
         )
