@@ -18,7 +18,7 @@ def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
     write_text(path, scene_text())
-    typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
+    typer.echo(f'{path} was written; fill it in, then: fingerflow process "{path}"')
 
 
 @app.command()

@@ -113,4 +113,4 @@ def simulate(
     if folder.exists():
         raise FingerflowError(f"{folder} exists already; name another folder")
     write_recordings(folder, Design(participants=participants, trials=trials, seed=seed))
-    typer.echo(f"{folder} was written; then: fingerflow study init {folder} --answers {folder / 'answers.csv'}")
+    typer.echo(f'{folder} was written; then: fingerflow study init "{folder}" --answers "{folder / "answers.csv"}"')

@@ -89,7 +89,7 @@ def simulate(
             raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
         scene = replace(scene, friction=friction)
     synthetic.write_recording(folder, scene)
-    typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
+    typer.echo(f'{folder} was written; process it with: fingerflow process "{folder / "scene.toml"}"')
 
 
 def _remove_demo(folder: Path) -> None:

@@ -61,7 +61,7 @@ def relaxation(time: NDArray[np.float64], values: NDArray[np.float64]) -> Law:
     start = values[known][-1], values[known][0] - values[known][-1], span / 3
     try:
         fit, covariance = curve_fit(lambda t, a, b, tau: a + b * np.exp(-t / tau), since, values[known], start,
-                                    bounds=((-np.inf, -np.inf, span / 1e3), np.inf))  # fmt: skip
+                                    bounds=((-np.inf, -np.inf, span / 1e3), np.inf), gtol=None)  # fmt: skip
     except RuntimeError:  # no convergence
         return _NONE
     (_, step, tau), (_, step_std, deviation) = fit.tolist(), np.sqrt(np.diag(covariance)).tolist()
