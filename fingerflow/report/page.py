@@ -285,8 +285,9 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first:
         )
         for frame, why in frames
     ]
-    note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
-    return Section("Maps on the skin", panels, (note,), first)
+    note = "Dashed: the gross contact. A quantity has one scale in all frames"
+    lines = "; lines lie along the principal strain." if "principal_angle" in result else "."
+    return Section("Maps on the skin", panels, (note + lines,), first)
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:

@@ -201,8 +201,8 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     if first > _STARTS * largest and largest > _GROWS * first:
         yield (
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
-            f"{measured[0] + first_frame}, and displacement there lacks what came before: lower recording.first_frame, "
-            f"record earlier, or give fields.reference"
+            f"{measured[0] + first_frame}, and displacement there lacks what came before: "
+            f"{'lower recording.first_frame, ' if first_frame else ''}record earlier, or give fields.reference"
         )
 
 
