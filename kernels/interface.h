@@ -101,11 +101,12 @@ struct fingerflow_sampled_windows {
 
 // One round of the fit of shifts (windows, 2) px of windows, as fingerflow/tracker/window_match.py describes: `now` are windows at the shifts so far, `around` (4,
 // windows, samples) those half a pixel to the right, left, below and above of none; weights (windows, samples) are those of
-// the round before, and replaced. Deviations and shares excluded (windows).
+// the round before, and replaced. Lengths of the shifts and largest residuals (windows)
+// in standard deviations.
 struct fingerflow_window_shifts {
     const float *then /* (windows, samples) */, *now /* (windows, samples) */, *around /* (4, windows, samples) */;
     double *shift /* (windows, 2) updated */, *weight /* (windows, samples) updated */, *deviations /* (windows) */,
-        *excluded /* (windows) */;
+        *largest /* (windows) */;
     std::int64_t windows;
     std::int32_t samples /* from 1 */;
     double noise;

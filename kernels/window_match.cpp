@@ -79,7 +79,7 @@ void shift(const fingerflow_window_shifts& all, std::int64_t window, ShiftFit& f
             finite = finite && std::isfinite(of[j]);
         }
     }
-    all.deviations[window] = all.excluded[window] = 0;
+    all.deviations[window] = all.largest[window] = 0;
     double spread = 0;
     for (int round = 0; finite && round < kWeightRounds; ++round) {
         fit.solve(weights);
@@ -89,8 +89,7 @@ void shift(const fingerflow_window_shifts& all, std::int64_t window, ShiftFit& f
     if (!finite) return;
     const auto& of = fit.information;
     all.deviations[window] = std::sqrt(of[0][0] * found[0] * found[0] + 2 * of[0][1] * found[0] * found[1] + of[1][1] * found[1] * found[1]) / spread;
-    const auto excluded = std::count_if(weights, weights + samples, [](double weight) { return weight < kExcludedWeight; });
-    all.excluded[window] = static_cast<double>(excluded) / static_cast<double>(samples);
+    all.largest[window] = *std::max_element(fit.far.begin(), fit.far.end()) / spread;
 }
 
 }  // namespace

@@ -89,5 +89,5 @@ ROUNDING = 1 / 12
 # Product of the variances of two windows, grey levels^4, below which one of them counts as blank.
 LEAST_VARIANCE = 1e-12
 # Reweightings of a fit of the shift of a window; residual, in standard deviations, beyond which a sample has no weight
-# (Tukey's biweight); standard deviation over the median of the magnitudes; weight below which a sample is excluded.
-WEIGHT_ROUNDS, TUKEY, MAD, EXCLUDED_WEIGHT = 4, 4.685, 1.4826, 0.05
+# (Tukey's biweight); standard deviation over the median of the magnitudes.
+WEIGHT_ROUNDS, TUKEY, MAD = 4, 4.685, 1.4826

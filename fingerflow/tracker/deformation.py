@@ -126,7 +126,7 @@ class Deformation:
     Attributes:
         latest: (5,) the latest known variance of the medians by gauge length and border; NaN as long as the contact is
             too small for twice the gauge length. Every eighth frame is evaluated, and one in which the contact has
-            grown. Until it is known in one, a stream evaluates every frame, and a batch its first eight.
+            grown. Until it is known in one, every frame is evaluated.
     """
 
     def __init__(self, engine: Engine, positions: Array) -> None:
@@ -159,14 +159,11 @@ class Deformation:
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
         ranks = rank_variance(fields, entered is not None and entered.among)
         known = np.isfinite(fields.median[:, 0])
-        evaluated = known & ((frames % EVERY == 0) | ((known.cumsum() <= EVERY) & np.isnan(self.latest[0])))
-        area = ellipse.semi_axes.prod(1)
-        for row in known.nonzero()[0]:
-            evaluated[row] |= area[row] > _GROWN * self._area
-            self._area = area[row] if evaluated[row] else self._area
-        rows = evaluated.nonzero()[0]
-        smoothing, course = self._of_smoothing, [self.latest]
-        if len(rows):
+        # What is evaluated depends on a frame and those before it alone, so that no result depends on the batch.
+        evaluated, area = np.zeros(len(frames), bool), ellipse.semi_axes.prod(1)
+        smoothing, course = [self._of_smoothing], [self.latest]
+
+        def evaluate(rows: Array) -> None:
             part, around = select_frames(fields, rows), ellipse.select(rows)
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
             # True in frames in which the displacements of most points count from their onsets.
@@ -180,9 +177,20 @@ class Deformation:
             self.latest = course[-1]
             plain = reference
             if excluded is not None:
-                plain = np.where(excluded.among.any(0)[:, None], np.float32(np.nan), reference)
-            smoothing = np.concatenate((smoothing, self._smoothing.variance(plain, moved[rows], part, wide)))
-            self._of_smoothing = smoothing[-1:]
+                plain = np.where(excluded.among[..., None], np.float32(np.nan), reference)
+            smoothing.append(self._smoothing.variance(plain, moved[rows], part, wide))
+
+        for row in known.nonzero()[0]:
+            unknown = np.isnan(self.latest[0])
+            if unknown or frames[row] % EVERY == 0 or area[row] > _GROWN * self._area:
+                evaluated[row], self._area = True, area[row]
+                if unknown:
+                    evaluate(np.array([row]))
+        rows = evaluated.nonzero()[0]
+        if len(rest := rows[len(course) - 1 :]):
+            evaluate(rest)
+        of_smoothing = np.concatenate(smoothing)
+        self._of_smoothing = of_smoothing[-1:]
         # The latest evaluated frame counts, 0 being the one before these. What smoothing takes grows as fields do,
         # which grow fourfold at most until the next.
         square = np.square(fields.divergence) + np.square(fields.curl)
@@ -191,7 +199,7 @@ class Deformation:
         sizes, latest = np.concatenate((self._square, size[rows])), evaluated.cumsum()
         self._square = sizes[-1:]
         growth = np.minimum(np.maximum(size / sizes[latest], 1), 16)
-        of_fields = smoothing[latest] * growth[:, None, None] + since.late
+        of_fields = of_smoothing[latest] * growth[:, None, None] + since.late
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])

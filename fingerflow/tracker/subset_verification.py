@@ -8,6 +8,7 @@ import numpy as np
 from fingerflow.engines.engine import STEP, TRACKED, Engine, Images, noise_of
 from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import identities
+from fingerflow.kernels.tracking_limits import TUKEY
 from fingerflow.tracker.window_match import Sampler, compare, deformed_alike, shifted_alike
 
 _ALIKE = 0.05  # 1 - correlation that is always allowed; for ridges with a period of 15 px a shift by 1.5 px exceeds it
@@ -16,8 +17,9 @@ _MOST = 0.2  # upper bound of this limit
 _NOISE = 3.0  # allowed multiple of the loss of correlation due to the noise of two images
 _PEAK = 3.5  # multiple of the usual residual of windows above which a single residual stands out
 # Something else than skin holds a point beyond all three limits: its distance from the position at which most samples
-# of its window match, in px and in standard deviations, and the share of samples that do not match.
-_HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
+# of its window match, in px and in standard deviations, and the largest residual there in standard deviations of all.
+# It is 7 to 30 with dust, and 4 to 13 where skin deforms unevenly within a window, on slides of small contacts.
+_HELD_PX, _HELD_DEVIATIONS, _HELD_PEAK = 0.35, 4.0, 12.0
 
 
 class Verified(NamedTuple):
@@ -102,13 +104,13 @@ class Verification:
             again = 1 - compare(self._first[suspect], sample(*present, better))[0]
             loss[suspect] = np.where(np.isnan(again), loss[suspect], np.minimum(again, loss[suspect]))
         before, unknown = self.latest, np.isnan(loss)
-        shift, deviations, excluded = self._shifts(sample, number, positions, warp, residuals, noise)
+        shift, deviations, largest = self._shifts(sample, number, positions, warp, residuals, noise)
         away = np.square(shift).sum(1)
-        held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
+        held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (largest > _HELD_PEAK)
         self.correlation = (1 - loss).astype(np.float32)
         # Robust weights find 0.7 of the distance by which dust pulls a point, so that the variance of a coordinate is
-        # the square of the shift, less what its own error explains; where no sample is excluded nothing pulls it.
-        pull = (excluded > 0) * away * np.maximum(1 - 2 / np.maximum(deviations, 1) ** 2, 0)
+        # the square of the shift, less what its own error explains; where every sample has a weight nothing pulls it.
+        pull = (largest > TUKEY) * away * np.maximum(1 - 2 / np.maximum(deviations, 1) ** 2, 0)
         # A point that cannot be checked keeps its previous result.
         verified = Verified(loss > limit, held, pull.astype(np.float32))
         self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, verified, strict=True)))
@@ -118,10 +120,10 @@ class Verification:
         self, sample: Sampler, number: Array, positions: Array, warp: Array, residuals: list[Array], noise: float
     ) -> tuple[Array, Array, Array]:
         """Return the shifts (N, 2) px by which windows match those of the key frame best, their lengths (N,) in their
-        standard deviations and the shares (N,) of excluded samples, where single residuals stand out, as those of dust
+        standard deviations and the largest residuals (N,) in theirs, where single residuals stand out, as those of dust
         do; all are 0 for other windows. `residuals` are their root mean squares (N,) and largest magnitudes (N,).
         """
-        shift, (deviations, excluded) = np.zeros((len(number), 2)), np.zeros((2, len(number)))
+        shift, (deviations, largest_left) = np.zeros((len(number), 2)), np.zeros((2, len(number)))
         square, largest = residuals
         known = np.sort(square[np.isfinite(square)])
         if len(known):
@@ -130,5 +132,5 @@ class Verification:
             if len(suspect):
                 present = (number[suspect], positions[suspect], warp[suspect], math.sqrt(2) * noise)
                 fit = shifted_alike(self._first[suspect], sample, *present)
-                shift[suspect], _, deviations[suspect], excluded[suspect] = fit
-        return shift, deviations, excluded
+                shift[suspect], _, deviations[suspect], largest_left[suspect] = fit
+        return shift, deviations, largest_left

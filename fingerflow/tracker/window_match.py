@@ -9,7 +9,7 @@ import numpy as np
 
 from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.library import compiled, is_present
-from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
+from fingerflow.kernels.tracking_limits import LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
 
 #: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
 #: (N, 2, 2).
@@ -23,8 +23,8 @@ _SHIFT_ROUNDS = 2  # samplings of the windows, each followed by fits
 
 # Shifts (N, 2) px by which most samples of N windows match those of earlier windows best, 0 for a window with a sample
 # that is NaN or infinite; weights (N, m) of the samples in the fit, 0 for samples that do not match; lengths (N,) of
-# the shifts in their own standard deviations, which are large along straight ridges; shares (N,) of samples that do
-# not match.
+# the shifts in their own standard deviations, which are large along straight ridges; largest residuals (N,) in standard
+# deviations of all.
 Shifts = tuple[Array, Array, Array, Array]
 
 
@@ -101,8 +101,7 @@ def shifted_alike(first: Array, sample: Sampler, number: Array, positions: Array
     steps = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
     around = sample(np.tile(number, 4), (positions + steps[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
     around = around.reshape(4, count, -1)
-    deviations, excluded = np.zeros((2, count))
-    fit: Shifts = np.zeros((count, 2)), np.ones(first.shape), deviations, excluded
+    fit: Shifts = np.zeros((count, 2)), np.ones(first.shape), *np.zeros((2, count))
     for _ in range(_SHIFT_ROUNDS):
         fit = fit_shifts(first, around, sample(number, positions + fit[0].astype(np.float32), warp), *fit[:2], noise)
     return fit
@@ -133,8 +132,8 @@ def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Arr
         weight = np.square(np.clip(1 - np.square(residual / (TUKEY * spread[:, None])), 0, None))
     shift = np.where(valid[:, None], shift + np.clip(solved[:, :2], -1, 1), 0.0)
     square = (shift[:, None] @ np.linalg.solve(inverse[:, :2, :2], shift[..., None]))[:, 0, 0]
-    excluded = np.where(valid, (weight < EXCLUDED_WEIGHT).mean(1), 0.0)
-    return shift, weight, np.sqrt(square) / spread, excluded
+    largest = np.where(valid, np.abs(residual).max(1) / spread, 0.0)
+    return shift, weight, np.sqrt(square) / spread, largest
 
 
 def _weighted_fit(unknown: Array, values: Array, weight: Array) -> tuple[Array, Array, Array]:

@@ -17,6 +17,7 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
+from fingerflow.pipeline import run
 from fingerflow.pipeline.plan import OUTPUTS, VARIABLES
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.recordings import Recording
@@ -228,3 +229,13 @@ def test_frames_that_cannot_be_read_are_not_blamed_on_the_result(
         with pytest.raises(FingerflowError, match=r"npy: frames cannot be read \(Input/output error\)"):
             process(replace(scene, contact=replace(scene.contact, threshold=0.3)), ["real_contact_area"], to=to)
     assert not list(tmp_path.iterdir())
+
+
+def test_results_do_not_depend_on_batches(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stated deviations of batches of five frames are those of all frames at once, but for rounding."""
+    names = ["divergence_std", "curl_std", "median_strain_std", "strain_energy_std"]
+    whole = process(scene, names)
+    monkeypatch.setattr(run, "_NUMBERS", 5)
+    parts = process(scene, names)
+    for name in names:
+        np.testing.assert_allclose(parts[name].values, whole[name].values, rtol=1e-4, err_msg=name)

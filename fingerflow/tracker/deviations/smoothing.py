@@ -47,12 +47,13 @@ class SmoothingErrors:
         neighbour is fitted.
 
         Args:
-            reference: (N, 2) mm, positions from which displacement counts; NaN for points that are not fitted.
+            reference: (N, 2) or (n, N, 2) mm, positions from which displacement counts; NaN for points that are not
+                fitted.
             displacement: (n, N, 2) mm.
             fields: divergence and curl with their standard deviations by the errors of points.
             wide: the same with twice the gauge length.
         """
-        fitted = np.isfinite(reference).all(1)
+        fitted = np.isfinite(reference).all(-1)
         valid = fitted & np.isfinite(displacement[..., 0] + displacement[..., 1])
         mass, x, y = self._neighbours.sums(valid, *(np.where(valid, values, 0) for values in self._places))
         # Of points from the centroids of their fits.

@@ -166,6 +166,8 @@ def test_a_doubtful_force_is_said(processed: Any, press: Path) -> None:
     assert "the trigger 'trigger' is in N, as a force is" in warnings_of(doubled)
     offset = warnings_of(processed(np.add(samples, (0, 2.0, 0, 0)), heading, NAMED))
     assert "'fz' is never below 1.99 N; if the finger was off the glass" in offset
+    low = warnings_of(processed(np.add(samples, (0, -2.0, 0, 0)), heading, NAMED))
+    assert "'fz' falls to -2" in low
     with pytest.raises(FingerflowError, match=r"between -20 and .* give \[forces\] offset or tare"):
         processed(np.add(samples, (0, -20.0, 0, 0)), heading, NAMED)
     untold = warnings_of(processed(samples, heading, NAMED, **{"trigger_frame = 1": ""}))

@@ -94,12 +94,14 @@ def test_pictures_that_contradict_the_settings_are_said(changed: Change, frames:
     assert "background.frames is darker than frame 0 in " in warnings_of(finger)
     for first in ("# first_frame = 0", "first_frame = 2", "first_frame = 5"):
         with pytest.raises(FingerflowError, match="the background is the recording itself"):
-            process(changed({"# first_frame = 0": first}, empty=frames))
+            process(changed({"# first_frame = 0": first}, empty=np.asfortranarray(frames)))
     for old, new, said in (
         ("columns = [120, 240]", "columns = [170, 240]", "the edge of the contact view cuts off 23% of the border"),
         ("[views.contact]", f"[views.contact]\nregion = {{polygon = {HALF}}}", "or the border of views.contact.region"),
     ):
         assert said in warnings_of(process(changed({old: new}), ["gross_contact_area"]))
+    same = process(changed({"columns = [0, 120]": "columns = [120, 240]"}), ["position"])
+    assert "views.contact and views.topography are equal" in warnings_of(same)
     dim = frames.copy()
     dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
     warnings = warnings_of(process(changed(fixed, frames=dim), ["gross_contact_area"]))

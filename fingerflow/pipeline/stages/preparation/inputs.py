@@ -13,7 +13,6 @@ from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.array_types import Array, Picture, Series
-from fingerflow.pipeline.stages.preparation.recording_files import equal_recordings
 from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.lens import Geometry
@@ -142,7 +141,9 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
-            if equal_recordings([path, self.recording.path]):
+            # The same pixels in any format; a single frame of the recording may show the empty glass.
+            frames, last = self.recording, self.scene.recording.first_frame + len(self.recording) - 1
+            if last < len(still) and all(np.array_equal(still[last - k], frames[~k]) for k in {0, len(frames) - 1}):
                 raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))

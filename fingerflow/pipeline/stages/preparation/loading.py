@@ -105,6 +105,10 @@ class LoadingStage(Stage):
                 f"{file}: the normal force {column!r} lies between {lowest:.3g} and {highest:.3g} N: pressing must be "
                 f"positive; give [forces] {remedy} in the scene"
             )
+        if -lowest > limit:
+            self.warnings.append(
+                f"{file}: {column!r} falls to {lowest:.3g} N, below no load: give [forces] offset or tare"
+            )
         if self.inputs.scene.kind == "slip":
             return
         if lowest > limit:

@@ -57,6 +57,7 @@ class BorderFunctions:
     The harmonic ones have theirs in units of s.
 
     Attributes:
+        places: (P, 2) in the unit disc.
         weights: (P,) of the places for a mean over the disc.
         gradient: (2, P, K) of the functions at the places.
         squares: (2, K, K) means over the disc of products of two functions' derivatives in the same direction.
@@ -66,9 +67,10 @@ class BorderFunctions:
         nodes, shares = np.polynomial.legendre.leggauss(_RADII)  # nodes in the square of the radius
         turns = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
         positions = np.sqrt((nodes[:, None] + 1) / 2)[..., None] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+        self.places = positions.reshape(-1, 2)
         self.weights = np.repeat(shares / 2 / _ANGLES, _ANGLES)
         i, j = self._powers = np.array([(n - k, k) for n in range(_DEGREE + 1) for k in range(n + 1)]).T
-        x, y = positions.reshape(1, -1, 2).transpose(2, 0, 1)
+        x, y = self.places.T[:, None]
         inside = (1 - x**2 - y**2)[0, :, None]
         x_powers, y_powers = (polyvander(coordinate[0], _DEGREE) for coordinate in (x, y))
         each = x_powers[:, i] * y_powers[:, j]

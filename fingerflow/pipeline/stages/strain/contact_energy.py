@@ -10,10 +10,11 @@ mean energy of what is left uncertain. So neither noise nor smoothing biases it.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy.spatial.distance import cdist
 from scipy.special import ellipe
 
 from fingerflow.kernels.array_types import Array, Mask, Numbers
@@ -44,6 +45,7 @@ _DECISIVE = 100.0  # difference of the evidence; it is -70 to 40 while the borde
 _UNKNOWN = 4.0
 _MISFIT = 5e-3  # residuals, relative to the RMS displacement, by which polynomials of this degree miss smooth fields
 _BORDER_FRAMES = 8  # in which the relative effect of the border is taken as constant: it needs a second fit
+_FAR_MM = 0.6  # distance from all points beyond which a field is extrapolated
 
 
 class FrameEnergies(NamedTuple):
@@ -64,17 +66,19 @@ class ContactEnergy:
     Args:
         measure: of strain.
         elastic: Young's modulus in MPa and Poisson's ratio, as in `triangle_strain`.
-        shared: (N, N) correlations of the errors of the points.
+        shared: (N, N) correlations of the errors of the points; dense, or sparse of SciPy.
         faint_mm: by which the border may lie further out, and displacements be short, as the rim is faint.
     """
 
-    def __init__(self, measure: str, elastic: tuple[float, float], shared: Array, faint_mm: float = 0.0) -> None:
+    def __init__(self, measure: str, elastic: tuple[float, float], shared: Any, faint_mm: float = 0.0) -> None:
         self._radius_mm = np.hypot(_RADIUS_MM, faint_mm)
         self._measure, self._elastic, self._shared, self._functions = measure, elastic, shared, BorderFunctions()
+        self._shares = dict[tuple[bool, int], float]()
 
     def estimate(
-        self, position: Array, displacement: Array, variance: Array, counts: Mask, border: FrameEllipse, since: Motion
-    ) -> FrameEnergies:
+        self, number: Numbers, position: Array, displacement: Array, variance: Array, counts: Mask,
+        border: FrameEllipse, since: Motion,
+    ) -> FrameEnergies:  # fmt: skip
         """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where no point
         lies near the contact border, and where no smooth field explains the displacements.
 
@@ -82,6 +86,7 @@ class ContactEnergy:
         variance is that of a point times the sum of its correlations with all points.
 
         Args:
+            number: (n,) of the frames.
             position: (n, N, 2) mm.
             displacement: (n, N, 2) mm.
             variance: (n, N) mm^2 of a displacement component.
@@ -100,7 +105,8 @@ class ContactEnergy:
         if len(frames):
             here = np.flatnonzero(counts[frames].any(0))
             at = np.ix_(frames, here)
-            points = _Points.gather(position[at], displacement[at], of_point[at], counts[at], border.select(frames))
+            given = position[at], displacement[at], of_point[at], counts[at]
+            points = _Points.gather(number[frames], *given, border.select(frames))
             energies = self._energies(points, since(frames)[:, here], depth[at])
             for values, of_some in zip(result, energies, strict=True):
                 values[frames] = of_some
@@ -140,7 +146,7 @@ class ContactEnergy:
 
     def _estimate(self, field: BorderFields, points: "_Points", at_border: Array | None = None) -> tuple[Array, Array]:
         energy, forces, left = self._field_energies(field, points)
-        mean = energy + np.trace(left, axis1=1, axis2=2)
+        mean = energy.sum(0) + np.trace(left, axis1=1, axis2=2)
         # Of a quadratic form of Gaussian numbers, in each of two components.
         by_points = (forces * (field.covariance @ forces)).sum((1, 2)) + (left * left.mT).sum((1, 2))
         size = (points.moved**2).sum((1, 2)) / 2 / (points.weight > 0).sum(1)
@@ -150,22 +156,25 @@ class ContactEnergy:
 
     def _shares_of_border(self, points: "_Points", energy: Array, at_border: Array | None) -> Array:
         """Return the relative change (n,) of the strain energy in each of n frames if the contact border lay one
-        standard deviation of its position further out.
+        standard deviation of its position further out, and the share of the energy where the field is extrapolated.
 
-        They are computed in every `_BORDER_FRAMES`-th frame, and hold until the next.
+        They are computed in the first of `_BORDER_FRAMES` frames by number, whatever the batch, and hold for the rest.
         """
-        some = slice(None, None, _BORDER_FRAMES)
+        groups, some, row = np.unique(points.number // _BORDER_FRAMES, return_index=True, return_inverse=True)
         wider = points.select(some)
         wider = wider._replace(axes=wider.axes + self._radius_mm)
         field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[some])
         larger, _, more = self._field_energies(field, wider)
-        shares = (larger + np.trace(more, axis1=1, axis2=2)) / energy[some] - 1
-        return shares.repeat(_BORDER_FRAMES)[: len(energy)]
+        total = larger.sum(0)
+        change = (total + np.trace(more, axis1=1, axis2=2)) / energy[some] - 1
+        shares = np.hypot(change, np.where(wider.far(self._functions.places), larger, 0).sum(0) / total)
+        pairs = zip(groups.tolist(), shares.tolist(), strict=True)
+        return np.array([self._shares.setdefault((at_border is None, group), share) for group, share in pairs])[row]
 
     def _field_energies(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
-        """Return the elastic energies (n,) of displacement fields, their gradients (n, K, 2) in the K fit coefficients,
-        and the product (n, K, K) of energy matrix and coefficient covariance, whose trace is the energy that
-        uncertainty adds.
+        """Return the elastic energies (P, n) of displacement fields at the places, their gradients (n, K, 2) in the K
+        fit coefficients, and the product (n, K, K) of energy matrix and coefficient covariance, whose trace is the
+        energy that uncertainty adds.
 
         C is the covariance of the coefficients of a component, and Q (n, K, K) that of the energy, a quadratic form in
         them to first order: the trace of Q C is the mean energy of what is left uncertain.
@@ -185,16 +194,14 @@ class ContactEnergy:
         since = (1 - vy) / shrunk - 1, uy / shrunk, vx / shrunk, (1 - ux) / shrunk - 1
         exx, eyy, exy = strain_parts(*since, self._measure)
         weights = torch.from_numpy(functions.weights[:, None] * area)
-        energy = (
-            (energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *self._elastic) * shrunk * weights).sum(0).numpy()
-        )
+        energy = energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *self._elastic) * shrunk * weights
         xx, yy, xy = (weights * part for part in stress_parts(exx, eyy, exy, *self._elastic))
         stress = [torch.stack((xx * x + xy * y, xy * x + yy * y)) for x, y in onto.transpose(0, 1)]
         forces = np.tensordot(gradient, torch.stack(stress).numpy(), ((0, 1), (0, 2))).transpose(2, 0, 1)
         direct, _, shear = stiffness(*self._elastic)
         # The mean over both components, each with direct x x + shear / 4 y y, where x and y are exchanged.
         scale = ((direct + shear / 4) * area)[:, None] / points.axes**2
-        return energy, forces, np.tensordot(scale, functions.squares[:, :number, :number], 1) @ field.covariance
+        return energy.numpy(), forces, np.tensordot(scale, functions.squares[:, :number, :number], 1) @ field.covariance
 
 
 class _Points(NamedTuple):
@@ -202,6 +209,7 @@ class _Points(NamedTuple):
     contact.
     """
 
+    number: Numbers  # (n,) of the frames
     along: Array  # (n, 2, N) mm along the ellipse's axes, from its centre
     moved: Array  # (n, 2, N) mm displacement in x and y
     weight: Array  # (n, N) inverse variance of a displacement component, 1/mm^2; 0 where a point does not count
@@ -210,7 +218,7 @@ class _Points(NamedTuple):
 
     @classmethod
     def gather(
-        cls, position: Array, displacement: Array, variance: Array, counts: Mask, border: FrameEllipse
+        cls, number: Numbers, position: Array, displacement: Array, variance: Array, counts: Mask, border: FrameEllipse
     ) -> "_Points":
         """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
         `ContactEnergy.estimate`.
@@ -222,10 +230,16 @@ class _Points(NamedTuple):
             for vectors in (position - border.center[:, None], displacement)
         )
         weight = np.where(counts, 1 / np.where(counts, variance, 1), 0.0)
-        return cls(turn @ from_centre, moved, weight, border.semi_axes, turn)
+        return cls(number, turn @ from_centre, moved, weight, border.semi_axes, turn)
 
     def select(self, frames: Numbers | slice) -> "_Points":
         return _Points(*(values[frames] for values in self))
+
+    def far(self, places: Array) -> Mask:
+        """Return the mask (P, n) of `places` (P, 2) in the unit disc that lie far from all points that count."""
+        frames = zip(self.along, self.weight, self.axes, strict=True)
+        away = [cdist(places * axes, along[:, weight > 0].T).min(1) for along, weight, axes in frames]
+        return np.stack(away, axis=1) > _FAR_MM
 
     def on_disc(self) -> tuple[Array, Array, Array]:
         """Return positions (n, 2, N) in the unit disc, displacements and weights, as arguments of a fit."""

@@ -4,6 +4,7 @@ from bisect import bisect_left
 
 import numpy as np
 import torch
+from scipy.sparse import coo_array, eye_array
 
 from fingerflow.kernels.array_types import Array, Mask, Numbers, Series
 from fingerflow.kernels.result_records import FrameEllipse
@@ -97,10 +98,10 @@ class StrainStage(Stage):
         # Energy lacks a faint rim of the contact and, of the rest, the displacement before the later onset.
         faint_mm = 2 * self.trial.stage(ContactStage).faint_rim_mm
         self._border_mm = np.hypot(BORDER_MM, faint_mm)
-        points = np.arange(len(moved.onset))
-        of_points = errors.between(points[:, None], points)
-        np.fill_diagonal(of_points, 1)
-        self._whole = ContactEnergy(self._settings.strain, self._elastic, of_points, faint_mm)
+        points, (first, second) = len(moved.onset), pairs[(pairs < len(moved.onset)).all(1)].T
+        upper = coo_array((errors.between(first, second), (first, second)), (points, points))
+        correlations = (upper + upper.T + eye_array(points)).tocsr()
+        self._whole = ContactEnergy(self._settings.strain, self._elastic, correlations, faint_mm)
         self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
         self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
@@ -200,7 +201,7 @@ class StrainStage(Stage):
             then = np.concatenate([steady[run] for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
             return position[rows] - then[number]
 
-        whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
+        whole = self._whole.estimate(frames, position, displacement, variance, counts, border, since_growth)
         fitted = np.isfinite(whole.energy)
         # The field resolves strain that rises towards the border, triangles do not: what they lack in all.
         lacking = whole.energy[fitted] - (between + rim)[fitted]
