@@ -269,6 +269,7 @@ class StreamTracker:
             self._measure_threshold(work)
         assert frame.picture is not None
         if self._points is None:  # no usable frame has arrived yet
+            self.check.stale_views.update(frame.picture.key)
             passed.append(self._outcome(work, frame.picture.status))
         else:
             decided, status = self.check.update(frame.picture)

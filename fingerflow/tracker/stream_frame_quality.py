@@ -103,7 +103,8 @@ class FrameCheck:
         self._without_lines = self._without_lines + 1 if status == JUMPS else 0
         if self._without_lines > LONGEST:
             status = USABLE
-        if status == USABLE and (self.stale_views.update(picture.key) or self._repeats(picture.key)):
+        stale = self.stale_views.update(picture.key)  # of every frame, as in a recording
+        if status == USABLE and (stale or self._repeats(picture.key)):
             status = REPEATED
         return self._judged(picture if status == picture.status else picture._replace(status=status))
 

@@ -69,16 +69,24 @@ def test_a_camera_that_gives_every_frame_twice_is_named(clean: Clean, tmp_path: 
 
 @pytest.mark.parametrize(("view", "columns"), [("topography", slice(240)), ("contact", slice(240, 480))])
 def test_a_frozen_view_counts_in_no_number(view: str, columns: slice, trials: Path, tmp_path: Path) -> None:
-    """A view that stands still from frame 20 on is named, live and recorded, and counts no more from the fourth on."""
-    frames = np.load(trials / "press" / "frames.npy")
+    """A view that stands still from frame 20 on is named, live and recorded, and counts no more from the fourth on.
+
+    So do frames in which it stands still while the other view is dark.
+    """
+    frames, dark = np.load(trials / "press" / "frames.npy"), range(30, 40) if view == "topography" else range(0)
     frames[21:, :, columns] = frames[20, :, columns]
+    frames[dark, :, 240:] //= 16
     scene = scene_beside(trials / "press", tmp_path, frames=frames)
     for result in (process(scene, AREAS), played(scene.path)):
-        assert status_of(result) == dict.fromkeys(range(24, 72), "repeated")
+        assert status_of(result) == dict.fromkeys(range(24, 72), "repeated") | dict.fromkeys(dark, "dark")
         assert f"the {view} view repeats its picture while the other view goes on, in 51 frames" in warnings_of(result)
     frames[:, :, columns] = frames[20, :, columns]
+    frames[slice(0, len(dark)), :, 240:] //= 16
+    (tmp_path / "always").mkdir()
+    scene = scene_beside(trials / "press", tmp_path / "always", frames=frames)
     with pytest.raises(FingerflowError, match=f"no frame can be measured: the {view} view repeats its picture"):
-        process(scene_beside(trials / "press", tmp_path, frames=frames), AREAS)
+        process(scene, AREAS)
+    assert f"the {view} view repeats its picture while the other view goes on, in 71" in warnings_of(played(scene.path))
 
 
 def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) -> None:
