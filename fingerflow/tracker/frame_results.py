@@ -142,14 +142,14 @@ class FrameResults:
         positions, gauge_mm = self._geometry.on_glass(seeding.points), self._engine.settings.gauge_length_mm
         # Where some displacements are not known, the known ones may be those of the rim alone: none is taken over.
         before = np.zeros((0, 2)) if seeding.before is None or np.isnan(self._inherited).any() else seeding.before
-        # (N,) mm^2, variance of displacements taken over from previous points; NaN where there are none, so that the
-        # displacement of skin that was in contact when it was seeded is not known.
-        self._inherited, touches = np.zeros(count), Touches(count)
+        # (N,) mm^2, variance of displacements taken over from previous points, over all seedings; NaN where there are
+        # none, so that the displacement of skin that was in contact when it was seeded is not known.
+        earlier, self._inherited, touches = self._inherited[: len(before)], np.zeros(count), Touches(count)
         if seeding.before is not None:
             self.slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
             rows, moved = covered.nonzero()[0], self._geometry.on_glass(before) - self._touches.position[: len(before)]
-            inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
+            inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1, earlier)
             touches.replace(rows, positions[rows] - inherited)
         self._touches = touches
         self.entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)

@@ -3,13 +3,17 @@ that grows.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.recordings.lens import Geometry
+from fingerflow.schema.scene_tables import CalibrationSettings
 from fingerflow.tracker.entry import Entries, advected
+from fingerflow.tracker.frame_results import FrameResults, Seeding
 
 Row = tuple[float, ...]
 
@@ -80,3 +84,19 @@ def test_a_stream_finds_the_advected_points_of_a_recording(make_engine: Callable
     # A recording has no reference of the lost point.
     differs = entries.entered != advected(position, grid, entries.onset, reference, 1.6, border)
     assert differs.nonzero()[0].tolist() == [lost]
+
+
+def test_the_variance_of_inherited_displacements_adds_up(make_engine: Callable[[EngineSettings], Engine]) -> None:
+    """Points are seeded five times on resting skin, whose displacement is a wave of 3 spacings: an error of
+    interpolation comes in each time, and the variance holds them all, where the last alone was a twenty-fifth.
+    """
+    results = FrameResults(make_engine(EngineSettings()), Geometry(CalibrationSettings(mm_per_px=0.02), None, None))
+    seeded = np.random.default_rng(1).uniform(0, 400, (6, 300, 2))
+    covered, wave = np.ones(300, dtype=bool), 0.1 * np.sin(seeded * 2 * np.pi / 70)
+    results._begin(Seeding(seeded[0], None), covered)
+    results._touches.replace(np.arange(300), 0.02 * seeded[0] - wave[0])
+    results._frames = 1
+    for before, points in pairwise(seeded):
+        results._begin(Seeding(points, before), covered)
+    error = 0.02 * seeded[-1] - results._touches.position - wave[-1]
+    assert 0.5 < np.square(error).mean() / results._inherited.mean() < 2
