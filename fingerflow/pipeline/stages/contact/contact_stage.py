@@ -177,12 +177,14 @@ class ContactStage(Stage):
         """Return the mask (h, w) of the skin to track: the gross contact in the frame with most contact, united with
         that of the first usable frame, which a contact that slides has left since.
 
-        For slip it is dilated by a window, so that points lie on both sides of the contact border.
+        For slip it is dilated by a window, `window_px` of the topography view, so that points lie on both sides of the
+        contact border.
         """
         region = self._largest | self._gross_region(self._contact(np.argmax(self.usable)))
         if self.inputs.scene.kind != "slip":
             return region
-        return cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= window_px
+        away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        return away * self.inputs.mm_per_px <= window_px * self.inputs.geometry.topography_mm_per_px
 
     def touched(self, frames: int = _LOOKS) -> Mask:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
