@@ -166,9 +166,10 @@ def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> t
 
     Return positions (F, N, 2) mm and shares (F, N). The first of the positions (F + 1, N, 2) and of the borders belongs
     to the frame before. A share is the fraction of the step from the previous frame at which the border passed the
-    point: depth inside the ellipse is interpolated linearly between both frames. Where the ellipse is not crossed
-    between them, the nearer end of the step is taken; without an ellipse in the previous frame, its middle; and for a
-    point that was lost there, its position now.
+    point: depth inside the ellipse is interpolated linearly between both frames. Where the depth grows and the ellipse
+    is not crossed between them, the nearer end of the step is taken. Where it does not grow, the ellipse does not tell
+    when the border passed: then, and without an ellipse in the previous frame, the middle of the step is taken. For a
+    point that was lost there, it is its position now.
     """
     share = np.empty(begins.shape, np.float32)
     share[:] = 1
