@@ -479,9 +479,8 @@ def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
 
 
 #: All variables of results and streams by name.
-VARIABLES: dict[str, Variable] = by_name(
-    (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, STREAM,
-)  # fmt: skip
+VARIABLES: dict[str, Variable] = by_name((TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING,
+    DISPLACEMENT, FIELDS, STRAIN, PRINTED_STRAIN, SLIP, STREAM)  # fmt: skip
 
 
 def shown_unit(name: str, units: str) -> ShownUnit:

@@ -19,6 +19,7 @@ from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.results.tables import export_map, export_table
 from fingerflow.results.tables.grid_maps import described, interpolate_maps
 from fingerflow.schema.variable_record import IN_PERCENT
+from fingerflow.schema.variables import shown_unit
 
 FRAMES, POINTS, FIRST = 3, 200, 10
 GRADIENT = np.array([[0.2, -0.1], [0.05, 0.3]])
@@ -219,6 +220,7 @@ def test_what_cannot_be_written_is_refused(act: Any, said: str, result: xr.Datas
 def test_the_dictionary_has_every_output() -> None:
     entries = {entry["name"]: entry for entry in dictionary()}
     assert set(VARIABLES) <= set(entries)
+    assert all(shown_unit(name, variable.units) == variable.shown_unit for name, variable in VARIABLES.items())
     assert all(all(entry[name] for name in ("units", "definition", "equation", "stage")) for entry in entries.values())
     assert entries["divergence"]["stage"] == "deformation"
     assert entries["divergence"]["equation"] == "u_x + v_y, the divergence of the displacement"

@@ -2,7 +2,6 @@
 its number.
 """
 
-from fingerflow.pipeline.plan import VARIABLES as RECORDED
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.schema.variables import VARIABLES
 
@@ -20,7 +19,7 @@ WITHOUT = {
     "that of the area, over the same median": "real_contact_area_normalised gross_contact_area_normalised",
 }
 #: Variables of recordings and streams, and columns of trials.
-ALL = RECORDED | VARIABLES | NUMBERS
+ALL = VARIABLES | NUMBERS
 
 
 def test_every_number_has_a_deviation_or_a_reason() -> None:

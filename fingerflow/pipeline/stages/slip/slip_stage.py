@@ -95,7 +95,7 @@ class SlipStage(Stage):
         self._settings = self.inputs.scene.slip
         self._growth = np.full((2, len(trial)), np.nan)  # mm² a frame, of the leading and the trailing half
         self._pull = np.zeros(2)  # mm, sum of all displacements, towards which the skin moves over the glass
-        self._deviation = np.full(len(trial), np.nan)  # mm, standard deviation of a component of a displacement
+        self._deviation = np.full(len(trial), np.nan)  # px, as from `_noise_level`
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
         step = float(np.median(np.diff(self.inputs.times))) if len(trial) > 1 else 1.0
         self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
