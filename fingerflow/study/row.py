@@ -310,7 +310,12 @@ def _at(grid: Series, load: Series, series: Series, frames: Numbers) -> Series:
     known = frames[np.isfinite(load[frames])]
     if not known.size:
         return np.full(grid.shape, np.nan)
-    return np.interp(grid, np.maximum.accumulate(load[known]), series[known], left=np.nan, right=np.nan)
+    after = np.searchsorted(np.maximum.accumulate(load[known]), grid)
+    earlier, later = (known[np.clip(after - back, 0, known.size - 1)] for back in (1, 0))
+    with np.errstate(divide="ignore", invalid="ignore"):  # NaN where both frames are the first or the last
+        share = (grid - load[earlier]) / (load[later] - load[earlier])
+        between = series[earlier] + share * (series[later] - series[earlier])
+    return np.where(load[later] == grid, series[later], between)
 
 
 def _largest(values: Series) -> float:

@@ -54,8 +54,12 @@ def _result(**changed: np.ndarray) -> xr.Dataset:
     return xr.Dataset(data, {"time": ("frame", TIME)}, attributes)
 
 
-def test_values_at_forces_lie_on_the_line_between_frames() -> None:
-    row, curves = measure(_result())
+@pytest.mark.parametrize("dip", [0.0, 1.5])
+def test_values_at_forces_lie_on_the_line_between_frames(dip: float) -> None:
+    """Also where the force is lower by 1.5 N in the frame before it reaches 2.25 N, where 0.0153 were taken."""
+    force = FORCE - dip * (np.arange(FRAMES) == 45)
+    series = {"median_divergence": 0.01 * force, "median_divergence_std": 0.001 * force}
+    row, curves = measure(_result(normal_force=force, **series))
     for force in (1, 2, 3):
         assert row[f"divergence_at_{force}n"] == pytest.approx(0.01 * force, rel=1e-12)
         assert row[f"divergence_at_{force}n_std"] == pytest.approx(0.001 * force, rel=1e-12)
