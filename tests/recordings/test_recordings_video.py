@@ -91,6 +91,10 @@ def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path
     small[::-1].read()
     assert len(decoded) == 3 * (20 + 15 + 10 + 5)
     assert len(small.file._cache) <= 5
+    small.close()
+    assert not small.file._cache
+    with pytest.raises(FingerflowError, match="the file is closed"):  # and is not opened again
+        small[0].read()
 
 
 @pytest.mark.parametrize(("name", "codec"), [("a.avi", "rawvideo"), ("a.mkv", "ffv1")])

@@ -124,7 +124,7 @@ class VideoFile(FrameFile):
     """
 
     def __init__(self, description: Description, pixels: _Pixels, index: _Index) -> None:
-        super().__init__(description, None)
+        super().__init__(description, self._picture, self._end_decoding)
         self._pixels = pixels
         self._index = index
         self._container: Any = None
@@ -138,7 +138,7 @@ class VideoFile(FrameFile):
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
-    def decode(self, index: int) -> Frames:
+    def _picture(self, index: int) -> Frames:
         if index not in self._cache:
             self._decode_to(index)
         if index in self.unreadable:
@@ -194,7 +194,7 @@ class VideoFile(FrameFile):
 
     def _restart(self, key: int) -> None:
         if self._container is None or key == 0:
-            self.close()
+            self._end_decoding()
             self._container = _open(self.path)
         stream = self._container.streams.video[0]
         stream.codec_context.options = CHECKS
@@ -241,6 +241,10 @@ class VideoFile(FrameFile):
                     yield of_frame, frame
 
     def close(self) -> None:
+        super().close()
+        self._cache.clear()
+
+    def _end_decoding(self) -> None:
         if self._container is not None:
             self._container.close()
             self._container = None
