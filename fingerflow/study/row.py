@@ -256,8 +256,7 @@ class _Trial:
         if "displacement" in self._result:
             moved = np.asarray(self._result["displacement"].values, dtype=np.float64)
             inside = self._result["in_contact"].values[loss] > 0
-            since = np.hypot(*np.moveaxis(moved[: loss + 1, inside] - moved[begin, inside], -1, 0))
-            median = nanmedian(since)
+            median = nanmedian(np.hypot(*np.moveaxis(moved[: loss + 1, inside] - moved[begin, inside], -1, 0)))
             speed = rate(median, self._time[: loss + 1], self._window)[-1]
             numbers |= {"full_slip_displacement": median[-1], "full_slip_displacement_std": abs(speed) * deviation}
         travel, force = self._values("actuator_position"), self._values("tangential_force")
@@ -283,8 +282,7 @@ class _Trial:
         largest = np.sort(length, axis=1)[np.arange(len(length)), chosen]  # NaN last
         frame = int(np.nanargmax(largest))
         point = int(np.flatnonzero(length[frame] == largest[frame])[0])
-        velocity = rate(moved[:, point], self._time[contact], self._window)
-        speed = np.hypot(velocity[:, 0], velocity[:, 1])[: self._top - self._onset + 1]
+        speed = np.hypot(*rate(moved[:, point], self._time[contact], self._window).T)[: self._top - self._onset + 1]
         return {"max_displacement": float(largest[frame]), "max_speed": _largest(speed)}
 
     def facts(self) -> dict[str, Any]:
@@ -311,11 +309,8 @@ def _at(grid: Series, load: Series, series: Series, frames: Numbers) -> Series:
     if not known.size:
         return np.full(grid.shape, np.nan)
     after = np.searchsorted(np.maximum.accumulate(load[known]), grid)
-    earlier, later = (known[np.clip(after - back, 0, known.size - 1)] for back in (1, 0))
-    with np.errstate(divide="ignore", invalid="ignore"):  # NaN where both frames are the first or the last
-        share = (grid - load[earlier]) / (load[later] - load[earlier])
-        between = series[earlier] + share * (series[later] - series[earlier])
-    return np.where(load[later] == grid, series[later], between)
+    steps = (known[max(end - 1, 0) : end + 1] for end in after)  # of two frames; one before the first, after the last
+    return np.array([np.interp(x, load[two], series[two], np.nan, np.nan) for x, two in zip(grid, steps, strict=True)])
 
 
 def _largest(values: Series) -> float:

@@ -37,8 +37,7 @@ class StaleViews:
         frozen in all frames so far.
         """
         views = zip(_VIEWS, key, self._before, strict=False)
-        same = {view for view, now, before in views if now == before != b""}
-        stale = same if key != self._before else set()
+        stale = {view for view, now, before in views if now == before != b"" and key != self._before}
         self.frames.update(stale)
         self._before, self._compared = key, self._compared + 1
         self._in_a_row = (self._in_a_row + 1) * any(self.frames[view] < self._compared for view in stale)

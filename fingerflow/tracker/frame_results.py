@@ -149,7 +149,10 @@ class FrameResults:
             self.slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
             rows, moved = covered.nonzero()[0], self._geometry.on_glass(before) - self._touches.position[: len(before)]
-            inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1, earlier)
+            inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
+            # Neighbours share the errors of what they have inherited themselves: these do not show in their scatter.
+            shared, _ = interpolate_displacement(before, 0 * moved + earlier[:, None], seeding.points[rows], 1)
+            self._inherited[rows] += shared[:, 0]
             touches.replace(rows, positions[rows] - inherited)
         self._touches = touches
         self.entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)

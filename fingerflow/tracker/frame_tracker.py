@@ -516,8 +516,7 @@ class StreamTracker:
         axes = contact.semi_axes[0].astype(np.float64)
         wider = (math.hypot(axes[0] - axes[1], 2 * math.sqrt(product)) - axes.sum()) / 2
         window = self._engine.settings.window_px * self.geometry.topography_mm_per_px / self.geometry.mm_per_px
-        wide = axes + max(wider, window)
-        return _Sparse(points, contact.center[0].copy(), axes, float(contact.angle[0]), wide)
+        return _Sparse(points, contact.center[0].copy(), axes, float(contact.angle[0]), axes + max(wider, window))
 
     def _regions(self, sparse: _Sparse) -> tuple[Array, Array]:
         """Return the mask (H, W) of a contact in the topography view, and that of the region around it in which points

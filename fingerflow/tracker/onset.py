@@ -132,18 +132,14 @@ class Touches:
         return Touching(start_position, share, spread, earlier, touching, begins)
 
 
-def interpolate_displacement(
-    before: Array, moved: Array, points: Array, fewest: int, inherited: Array | float = 0.0
-) -> tuple[Array, Array]:
+def interpolate_displacement(before: Array, moved: Array, points: Array, fewest: int) -> tuple[Array, Array]:
     """Return the displacements (N, 2) of newly seeded points, interpolated from those of the nearest previous points,
-    and the variance (N,) of a component: that among these, and the mean of what they have inherited; NaN if fewer than
-    `fewest` previous points are known.
+    and the variance (N,) of a component among these; NaN if fewer than `fewest` previous points are known.
 
     Args:
         before: (M, 2) px, previous points in the frame of the seeding, NaN where lost.
         moved: (M, 2) their displacements in any unit, NaN where not known.
         points: (N, 2) px, the new points; NaN for none.
-        inherited: (M,), variance of a component of `moved` by earlier interpolations, an error that neighbours share.
     """
     displacement, variance = np.full(points.shape, np.nan), np.full(len(points), np.nan)
     known, new = np.isfinite(before + moved).all(-1), np.isfinite(points).all(-1)
@@ -153,10 +149,7 @@ def interpolate_displacement(
         weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
         values, total = moved[known][nearest], weight.sum(1)
         displacement[new] = (weight * values).sum(1) / total
-        squares = (
-            np.square(values - displacement[new, None]) + np.broadcast_to(inherited, known.shape)[known][nearest, None]
-        )
-        variance[new] = ((weight * squares).sum(1) / total).mean(1)
+        variance[new] = ((weight * np.square(values - displacement[new, None])).sum(1) / total).mean(1)
     return displacement, variance
 
 
@@ -171,16 +164,14 @@ def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> t
     when the border passed: then, and without an ellipse in the previous frame, the middle of the step is taken. For a
     point that was lost there, it is its position now.
     """
-    share = np.empty(begins.shape, np.float32)
-    share[:] = 1
+    share = np.ones(begins.shape, np.float32)
     frame, point = begins.nonzero()
     if not len(frame):
         return position[1:], share
     now, before = position[frame + 1, point], position[frame, point]
     inside = border.select(np.concatenate((frame, frame + 1))).inside(np.concatenate((before, now))[:, None])[:, 0]
     outside, inside = inside[: len(frame)], inside[len(frame) :]
-    passed = np.empty(len(frame))
-    passed[:] = 0.5
+    passed = np.full(len(frame), 0.5)
     np.divide(outside, outside - inside, out=passed, where=inside > outside)
     passed = np.minimum(np.maximum(passed, 0), 1)
     valid = is_finite(before)

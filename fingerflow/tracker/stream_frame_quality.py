@@ -141,9 +141,8 @@ class FrameCheck:
         """Decide that none of the deferred frames is usable, and return their statuses: their own fault, or else a jump
         of the image.
         """
-        result = [JUMPS if frame.status == USABLE else frame.status for frame in self._deferred]
-        self._deferred = []
-        return result
+        deferred, self._deferred = self._deferred, []
+        return [JUMPS if frame.status == USABLE else frame.status for frame in deferred]
 
     def finish(self) -> list[int]:
         """Return the statuses of frames that are deferred at the end of the stream.

@@ -125,8 +125,7 @@ class VideoFile(FrameFile):
 
     def __init__(self, description: Description, pixels: _Pixels, index: _Index) -> None:
         super().__init__(description, self._picture, self._end_decoding)
-        self._pixels = pixels
-        self._index = index
+        self._pixels, self._index = pixels, index
         self._container: Any = None
         self._decoded: Iterator[tuple[int, Any]] = iter(())
         self._has_checksums = False
@@ -146,10 +145,9 @@ class VideoFile(FrameFile):
         return self._cache[index].copy()
 
     def _decode_to(self, target: int) -> None:
-        keys = self._index.keys
-        nearest = bisect_right(keys, target) - 1
-        if not keys[nearest] <= self._next <= target:
-            self._restart(keys[nearest])
+        nearest = self._index.keys[bisect_right(self._index.keys, target) - 1]
+        if not nearest <= self._next <= target:
+            self._restart(nearest)
         if self._run_to(target):
             return
         self._restart(0)  # decode from the start, if seeking misses the key frame
@@ -247,8 +245,7 @@ class VideoFile(FrameFile):
     def _end_decoding(self) -> None:
         if self._container is not None:
             self._container.close()
-            self._container = None
-        self._decoded, self._next = iter(()), -1
+        self._container, self._decoded, self._next = None, iter(()), -1
 
 
 @dataclass(frozen=True)

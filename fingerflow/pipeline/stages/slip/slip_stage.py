@@ -87,8 +87,7 @@ class SlipStage(Stage):
 
     @classmethod
     def variant(cls, scene: Scene) -> type[Stage]:
-        by_displacement = {subclass.displacement: subclass for subclass in cls.__subclasses__()}
-        return by_displacement.get(scene.slip.displacement, cls)
+        return {subclass.displacement: subclass for subclass in cls.__subclasses__()}.get(scene.slip.displacement, cls)
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
