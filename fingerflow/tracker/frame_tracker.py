@@ -272,9 +272,8 @@ class StreamTracker:
             self.check.stale_views.update(frame.picture.key)
             passed.append(self._outcome(work, frame.picture.status))
         else:
-            decided, status = self.check.update(frame.picture)
             self._deferred.append(work)
-            passed += self._decided(decided if status is None else [*decided, status])
+            passed += self._decided(self.check.update(frame.picture))
         while len(self._unlearnt) > len(self._held) and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed

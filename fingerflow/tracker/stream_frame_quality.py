@@ -88,16 +88,10 @@ class FrameCheck:
             status = JUMPS
         return Picture(status, PixelSamples.sample(*images), frame_copies.frame_key(blocks), number)
 
-    def update(self, picture: Picture) -> tuple[list[int], int | None]:
-        """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
-        that are thereby decided, and that of this frame.
-
-        Args:
-            picture: result of `inspect`.
-
-        Returns:
-            The statuses of the first deferred frames, in order, empty if all stay deferred or there are none; and that
-            of this frame, None if it is deferred itself.
+    def update(self, picture: Picture) -> list[int]:
+        """Determine the status of a frame, given as the result of `inspect`, by comparison with earlier frames; return
+        the statuses that are thereby decided, in order: of the first deferred frames, and of this frame unless it is
+        deferred itself.
         """
         status = picture.status
         self._without_lines = self._without_lines + 1 if status == JUMPS else 0
@@ -106,36 +100,34 @@ class FrameCheck:
         stale = self.stale_views.update(picture.key)  # of every frame, as in a recording
         if status == USABLE and (stale or self._repeats(picture.key)):
             status = REPEATED
-        return self._judged(picture if status == picture.status else picture._replace(status=status))
+        return self._judged(picture._replace(status=status))
 
-    def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
+    def _judged(self, frame: Picture) -> list[int]:
         if not self._deferred:
             if frame.status != USABLE:
-                return [], frame.status
+                return [frame.status]
             step = self._step_to(frame)
             if self._is_far(frame, step):
                 self._deferred.append(frame)
-                return [], None
+                return []
             self._count(frame, step)
-            return [], USABLE
+            return [USABLE]
         if frame.status == USABLE and self._comes_back(frame):
             self._returned.append(True)
             decided = self.settle()
             self._count(frame, self._step_to(frame))
-            return decided, USABLE
+            return [*decided, USABLE]
         if frame.number - self._deferred[0].number < LONGEST:
             self._deferred.append(frame)
-            return [], None
+            return []
         # The image does not return, so the first deferred frame is usable; the frames behind it are judged again.
         first, *rest = self._deferred
         self._deferred = []
         self._count(first, self._step_to(first))
         decided = [USABLE]
-        for later in rest:
-            before, status = self._judged(later)
-            decided += before if status is None else [*before, status]
-        before, status = self._judged(frame)
-        return [*decided, *before], status
+        for later in (*rest, frame):
+            decided += self._judged(later)
+        return decided
 
     def settle(self) -> list[int]:
         """Decide that none of the deferred frames is usable, and return their statuses: their own fault, or else a jump

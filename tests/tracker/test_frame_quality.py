@@ -51,8 +51,7 @@ def _statuses(skins: list[Array], noise: Iterable[int] = range(99), end: bool = 
     check = FrameCheck(GLASS, 0 * GLASS, 8)
     told: list[int] = []
     for number, (skin, seed) in enumerate(zip(skins, noise, strict=False)):
-        decided, status = check.update(check.inspect(number, {"contact_view": _view(skin, seed)}))
-        told += [*decided, *([] if status is None else [status])]
+        told += check.update(check.inspect(number, {"contact_view": _view(skin, seed)}))
     return [FRAME_STATUS[one] for one in told + (check.settle() if end else [])]
 
 
