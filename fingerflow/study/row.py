@@ -75,9 +75,8 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, Curve]]:
                 if f"{name}_{AT_MAX}" in NUMBERS:
                     numbers[f"{name}{std}"] = trial.at_largest(trial.series[name], trial.series[f"{name}{std}"])
     curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series} | trial.share_curves()
-    known = {name: curve for name, curve in curves.items() if np.isfinite(curve).any()}
     row |= {name: _finite(value) for name, value in numbers.items()}
-    return row, {name: [_finite(value) for value in curve] for name, curve in known.items()}
+    return row, {name: [*map(_finite, curve)] for name, curve in curves.items() if np.isfinite(curve).any()}
 
 
 class _Trial:
@@ -93,7 +92,7 @@ class _Trial:
         self._time = np.asarray(result["time"].values, dtype=np.float64)
         self._window = float(json.loads(result.attrs["settings"])["fields"]["rate_window_s"])
         status = result["frame_status"].values if "frame_status" in result else np.zeros(len(self._time))
-        self._usable = np.asarray(status) == 0
+        self._usable = status == 0
         self._force = self._values("normal_force")
         self._gross = self._values("gross_contact_area")
         touching = np.flatnonzero(self._gross > 0)
@@ -160,8 +159,8 @@ class _Trial:
         last skin slips.
         """
         curves: dict[str, Series] = {}
-        relative_area, mean_pressure = self._area / self._area[self._top], 1e3 * self._force / self._area
-        for name, values in (("relative_area", relative_area), ("mean_pressure", mean_pressure)):
+        relative = self._area / self._area[self._top]
+        for name, values in {"relative_area": relative, "mean_pressure": 1e3 * self._force / self._area}.items():
             for suffix, frames in (("", self._rising), (UNLOADING, self._falling)):
                 curves[f"{name}{suffix}"] = _at(SHARE_GRID, self._share, values, frames)
         if (slip := self._slip_loading) is not None:
@@ -187,8 +186,7 @@ class _Trial:
             "force_rate": _largest(force_rate[self._onset : self._top + 1]),
         }
         if "ellipse_semi_axes" in self._result:
-            major, minor = self._values("ellipse_semi_axes")[self._top]
-            numbers["longest_axis_ratio"] = major / minor
+            numbers["longest_axis_ratio"] = np.divide(*self._values("ellipse_semi_axes")[self._top])
         if "displacement" in self._result:
             numbers |= self._displacement_numbers()
         ratio = self._values("load_ratio")
@@ -281,7 +279,7 @@ class _Trial:
         chosen = np.floor(_LARGEST_QUANTILE * np.maximum(counts - 1, 0)).astype(int)
         largest = np.sort(length, axis=1)[np.arange(len(length)), chosen]  # NaN last
         frame = int(np.nanargmax(largest))
-        point = int(np.flatnonzero(length[frame] == largest[frame])[0])
+        point = int((length[frame] == largest[frame]).argmax())
         speed = np.hypot(*rate(moved[:, point], self._time[contact], self._window).T)[: self._top - self._onset + 1]
         return {"max_displacement": float(largest[frame]), "max_speed": _largest(speed)}
 
@@ -307,7 +305,7 @@ def _at(grid: Series, load: Series, series: Series, frames: Numbers) -> Series:
     """
     known = frames[np.isfinite(load[frames])]
     if not known.size:
-        return np.full(grid.shape, np.nan)
+        return grid * np.nan
     after = np.searchsorted(np.maximum.accumulate(load[known]), grid)
     steps = (known[max(end - 1, 0) : end + 1] for end in after)  # of two frames; one before the first, after the last
     return np.array([np.interp(x, load[two], series[two], np.nan, np.nan) for x, two in zip(grid, steps, strict=True)])
