@@ -20,10 +20,10 @@ from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.plan import Plan
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
-from fingerflow.pipeline.stages.preparation.recording_files import files_of
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.recordings.identity import identity_of
+from fingerflow.recordings.recording_files import files_of
 from fingerflow.results.store import Store
 from fingerflow.schema.text_file import check_file
 

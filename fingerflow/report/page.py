@@ -285,9 +285,8 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first:
         )
         for frame, why in frames
     ]
-    note = "Dashed: the gross contact. A quantity has one scale in all frames"
-    lines = "; lines lie along the principal strain." if "principal_angle" in result else "."
-    return Section("Maps on the skin", panels, (note + lines,), first)
+    lines = "; lines lie along the principal strain" * ("principal_angle" in result)
+    return Section("Maps on the skin", panels, (f"Dashed: gross contact. All frames have one scale{lines}.",), first)
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:

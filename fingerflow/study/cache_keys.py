@@ -13,8 +13,8 @@ from pathlib import Path
 
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.reuse import code_version, content
-from fingerflow.pipeline.stages.preparation.recording_files import files_of
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
+from fingerflow.recordings.recording_files import files_of
 from fingerflow.schema.scene import Scene
 from fingerflow.study.dotted_keys import flattened
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
-from fingerflow.pipeline.stages.preparation.recording_files import equal_recordings
+from fingerflow.recordings.recording_files import equal_recordings
 from fingerflow.schema.delimited import is_numeric
 from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene import Scene, parse_toml, scene_from

@@ -4,16 +4,14 @@ alone.
 
 import math
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from fingerflow.engines.engine import EngineSettings
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.scene_tables import CalibrationSettings
-from fingerflow.tracker.frame_tracker import StreamTracker
 from fingerflow.tracker.reseeding import CONTACT, ReseedingSchedule, ThresholdSearch
 
 
@@ -71,26 +69,10 @@ def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
 
 
 def test_a_window_around_the_contact_is_one_of_the_topography_view() -> None:
-    """Points are seeded a window around a contact, live and recorded: 20 px of a topography view of half the scale are
-    10 px of the contact view.
-    """
+    """Points are seeded a window around a contact: 20 px of a view of half the scale are 10 px of the contact view."""
     calibration = CalibrationSettings(mm_per_px=0.02, topography_to_contact=((0.5, 0.0, 0.0), (0.0, 0.5, 0.0)))
     geometry, region = Geometry(calibration, None, None), np.eye(1, 40, dtype=bool)
     recorded: Any = SimpleNamespace(_largest=region, usable=np.ones(1), _contact=lambda frame: frame)
     recorded._gross_region = lambda contact: region
     recorded.inputs = SimpleNamespace(scene=SimpleNamespace(kind="slip"), mm_per_px=0.02, geometry=geometry)
     assert ContactStage.seeding_region(recorded, 20).sum() == 1 + 10
-    none, axes = np.zeros((1, 1), np.float32), np.array([[140.0, 125.0]])
-    contact = SimpleNamespace(
-        density_margin=none[None, None], gross_area_px=55000 + none[0], semi_axes=axes, center=axes
-    )
-    contact.angle = none[0]
-    stream: Any = SimpleNamespace(geometry=geometry, _to_contact=geometry.topography_to_contact.astype(np.float32))
-    settings = EngineSettings(window_px=20, gauge_length_mm=1.6)
-    stream._engine, stream._settings = SimpleNamespace(settings=settings, cell_px=4), SimpleNamespace(points=100)
-    stream.contact = lambda work: contact
-    stream.results = SimpleNamespace(on_glass=SimpleNamespace(sizes=lambda contact: SimpleNamespace(gross=[22.0])))
-    points: Any = SimpleNamespace(estimate=np.zeros((1, 1, 2), np.float32), status=none)
-    sparse = StreamTracker._sparse_contact(stream, cast(Any, None), points)
-    assert sparse is not None
-    np.testing.assert_array_equal(sparse.wide, axes[0] + 10)

@@ -106,9 +106,7 @@ class LoadingStage(Stage):
                 f"positive; give [forces] {remedy} in the scene"
             )
         if -lowest > limit:
-            self.warnings.append(
-                f"{file}: {column!r} falls to {lowest:.3g} N, below no load: give [forces] offset or tare"
-            )
+            self.warnings.append(f"{file}: {column!r} falls to {lowest:.3g} N: give [forces] offset or tare")
         if self.inputs.scene.kind == "slip":
             return
         if lowest > limit:

@@ -92,9 +92,7 @@ class TrackingStage(Stage):
             self._create(0)
         if self._view == self.inputs.scene.views.contact:
             if self.inputs.scene.kind != "single_view":
-                self.warnings += [
-                    'views.contact and views.topography are equal: correct one, or set kind = "single_view"'
-                ]
+                self.warnings.append('views.contact and views.topography are equal: is kind = "single_view" meant?')
             return
         frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
         self.warnings += plausibility.check_clipped("topography", frame)
