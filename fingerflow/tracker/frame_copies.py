@@ -34,8 +34,10 @@ class StaleViews:
 
     def update(self, key: FrameKey) -> bool:
         """Add the next frame by its key; return whether a view is frozen in it and in the three before, and was not
-        frozen in all frames so far.
+        frozen in all frames so far. A frame without light counts as none.
         """
+        if not any(key):
+            return False
         views = zip(_VIEWS, key, self._before, strict=False)
         stale = {view for view, now, before in views if now == before != b"" and key != self._before}
         self.frames.update(stale)
