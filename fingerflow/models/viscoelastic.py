@@ -57,7 +57,7 @@ def viscoelastic_strain(
     left, (early, late) = torch.exp(-delays), _step_weights(delays)
 
     def delayed(elastic: Tensor) -> Tensor:
-        """Return the strain (T, ...), which lags behind the equilibrium strain `elastic` (..., T)."""
+        """Return the strain (T, ...) of viscoelastic skin whose equilibrium strain is `elastic` (..., T)."""
         gained = early * elastic[..., :-1] + late * elastic[..., 1:]
         strains = [torch.zeros_like(gained.sum(-1))]
         for decay, added in zip(left.unbind(-1), gained.unbind(-1), strict=True):

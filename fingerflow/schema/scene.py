@@ -139,7 +139,7 @@ def toml_remedy(text: str, error: Exception) -> str:
 
 
 def check_scale(scene: Scene) -> Iterator[str]:
-    """Yield a warning if the image scale makes the contact view far narrower or wider than any of a fingertip."""
+    """Yield a warning if the contact view, by the image scale, is far narrower or wider than a fingertip."""
     scale, (least, most) = scene.calibration.mm_per_px, _VIEW_MM
     width = scale * max(scene.views.contact.shape)
     if not least <= width <= most:

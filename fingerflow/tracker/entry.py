@@ -130,7 +130,7 @@ def join_entered(frames: list[EnteredPoints | None]) -> EnteredPoints | None:
 
 
 class EntryGradients:
-    """Displacement gradients of advected points, each relative to its state when it entered the contact.
+    """Displacement gradients of advected points since each of them entered the contact.
 
     Attributes:
         change: (N, 2, 2) of the gradient at a point in a frame before its entry; 0 where it is not known.
@@ -255,7 +255,7 @@ class Entries:
         return self._gradients.since_entry(here, *self._kept(row))._replace(among=self.entered[None].copy())
 
     def _kept(self, row: int) -> tuple[Array, Array]:
-        """Return the positions (1, N, 2) of all points and their variance (1, N) in a frame kept at `row`."""
+        """Return positions (1, N, 2) mm and variances (1, N) mm^2 of all points in the stored frame number `row`."""
         return self._position[row][None], self._variance[row][None]
 
     def _learn_entries(self, new: Array) -> None:

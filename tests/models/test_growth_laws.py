@@ -1,4 +1,4 @@
-"""Laws of growth: the time of a relaxation."""
+"""Fit of growth laws: the time constant of a relaxation."""
 
 import numpy as np
 

@@ -121,8 +121,8 @@ def test_deviation_is_true_by_coverage(frame: int) -> None:
 
 
 def test_a_field_far_from_all_points_is_uncertain() -> None:
-    """Where something beside the contact counts as part of it, so that the ellipse ends 1 mm further on one side, the
-    energy of the field there is part of the deviation.
+    """The deviation of the energy holds what the field has far from all points: the ellipse ends 1 mm too far out on
+    one side, as if something beside the contact belonged to it.
     """
     contact = contact_of(PRESS, 58)
     along = np.array([np.cos(contact.border.angle[0]), np.sin(contact.border.angle[0])])

@@ -363,8 +363,8 @@ class DeformationStage(Stage):
 
 
 class SteadyPositions:
-    """Positions (F, N, 2) mm of the points, from which the vibration `motion` (F, 2) of the image is subtracted as
-    frames are read.
+    """Positions (F, N, 2) mm of the points without the vibration `motion` (F, 2) of the image, as `vibration` returns
+    it, which is subtracted when frames are read.
     """
 
     def __init__(self, position: Values, motion: Any) -> None:

@@ -236,7 +236,7 @@ class _Points(NamedTuple):
         return _Points(*(values[frames] for values in self))
 
     def far(self, places: Array) -> Mask:
-        """Return the mask (P, n) of `places` (P, 2) in the unit disc that lie far from all points that count."""
+        """Return the mask (P, n) of `places` (P, 2) in the unit disc that are far from all points of a frame."""
         frames = zip(self.along, self.weight, self.axes, strict=True)
         away = [cdist(places * axes, along[:, weight > 0].T).min(1) for along, weight, axes in frames]
         return np.stack(away, axis=1) > _FAR_MM
