@@ -166,6 +166,8 @@ struct fingerflow_local_fit {
     std::int64_t* counts /* (batch, query_count) */;
     void* offset /* points (batch, query_count) */;
 };
+void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int points_kind,
+                                int threads);
 
 // Positions of points corrected for the deformation of the skin, as fingerflow/ops/tracking/deformation.py has it: start (points, 2),
 // found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 32), inverse_warp (points, 2, 2). Results are
@@ -221,6 +223,27 @@ struct fingerflow_area_medians {
     float *medians /* (batch, 5) */, *deviations /* (batch, 5) if covariance */, *shares /* (batch) */;
     std::int64_t batch, reference_batch, point_count, positions, measure /* to 2 */, minimum_points;
     double radius, least_spread, farthest, least_ratio, least_share, reach, even, same_place;
+};
+void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
+
+// Fields at points in frames and their medians over ellipses (centre, semi_axes, angle) of sharpened displacements, as
+// fingerflow/graphs/fields_graph.py has them: reference (point_count, 2), displacement and its covariance, or null, by
+// frame. `apart` tells points with gradients of their own, ux, uy, vx, vy, and their covariances. Results are those of
+// each point, and those of fingerflow_area_medians.
+struct fingerflow_frame_fields {
+    const float *reference /* (point_count, 2) */, *displacement /* (batch, point_count, 2) */,
+        *covariance /* (batch, point_count, 2, 2) optional */, *center /* (batch, 2) */, *semi_axes /* (batch, 2) */,
+        *angle /* (batch) */, *lattice /* (positions, 2) */;
+    const unsigned char* apart /* bool (batch, point_count) optional */;
+    const float *apart_gradient /* (batch, point_count, 2, 2) optional */,
+        *apart_covariance /* (batch, point_count, 2, 2, 2, 2) optional */;
+    float *divergence /* (batch, point_count) */, *curl /* (batch, point_count) */, *strain /* (batch, point_count, 3) */,
+        *shear /* (batch, point_count, 2) */, *divergence_std /* (batch, point_count) if covariance */,
+        *curl_std /* (batch, point_count) if covariance */, *medians /* (batch, 5) */,
+        *deviations /* (batch, 5) if covariance */, *shares /* (batch) */;
+    std::int64_t batch, point_count, positions, measure /* to 2 */, minimum_points;
+    double radius, least_spread, farthest, least_ratio, least_share, reach, even, same_place;
+    float sharpened, sharpened_noise;
 };
 
 // Strain of triangles and its energy, as fingerflow/ops/fields/triangle_strain.py has them: displacement (batch, point_count, 2),

@@ -21,18 +21,15 @@ from fingerflow.engines.engine import (
     reject_outliers,
 )
 from fingerflow.kernels import tracking
-from fingerflow.kernels.arrays import KINDS, inverse_2x2, is_finite
+from fingerflow.kernels.arrays import KINDS, inverse_2x2
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
-from fingerflow.kernels.field_limits import SHARPENED, SHARPENED_NOISE, STRAIN_MEASURES
-from fingerflow.kernels.fields import area_medians, local_gradients
+from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.fields import fields_of_frames, local_gradients
 from fingerflow.kernels.library import compiled
-from fingerflow.kernels.strain_formulas import curl_variance, divergence_variance, sensitivity_parts, strain_parts
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
 from fingerflow.schema.pixel_types import COMPUTED_TYPES
-
-_UNKNOWN = np.float32(np.nan)
 
 
 class _NativeTemplates:
@@ -154,91 +151,6 @@ class NativeEngine:
         self, reference: Array, displacement: Array, ellipse: FrameEllipse, covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:  # fmt: skip
-        points, (batch, count) = (reference[None], displacement, covariance), displacement.shape[:2]
-        gradient, spread, sharp = self._gradients(*points, entered)
-        noise = None if covariance is None else np.float32(SHARPENED_NOISE) * covariance
-        median, median_std, known_share = self._medians((reference[None], sharp, noise), ellipse, entered)
-        parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
-        fields = _fields(parts, self.settings.strain)
-        shear = np.array((parts[0] - parts[3], parts[1] + parts[2])).T.reshape(batch, count, 2)
-        divergence_std = curl_std = None
-        if spread is not None:
-            divergence_std, curl_std = _root(np.array((divergence_variance(spread), curl_variance(spread))))
-        divergence, curl = fields[:2].reshape(2, batch, count)
-        strain = np.ascontiguousarray(fields[2:].T).reshape(batch, count, 3)
-        return FrameFields(divergence, curl, strain, shear, divergence_std, curl_std, median, median_std, known_share)
-
-    def _gradients(
-        self, reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
-    ) -> tuple[Array, Array | None, Array]:
-        """Fit displacement gradients (K, N, 2, 2) at N points in K frames over the gauge length; return them, their
-        covariance if that of the displacements is given, and the sharpened displacements (`SHARPENED`). Points that
-        were advected into the contact are left out of the fits, and have their own gradients.
-        """
-        rest = displacement if entered is None else np.where(entered.among[..., None], _UNKNOWN, displacement)
-        noise = None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
-        fit = local_gradients(reference, rest, reference, noise, radius=self.settings.gauge_length_mm / 2)
-        gradient, spread = fit.gradient, fit.covariance
-        lost = ~is_finite(rest) if noise is None else ~(is_finite(rest) & np.isfinite(noise).all(-1))
-        added = np.float32(SHARPENED) * (rest - fit.value)
-        sharp = displacement + np.where(np.isfinite(added), added, 0)
-        gradient[lost] = _UNKNOWN
-        if spread is not None:
-            spread[lost] = _UNKNOWN
-        if entered is not None:
-            # A lost point has no gradient.
-            valid = entered.among & is_finite(displacement)
-            gradient[valid] = entered.gradient[valid]
-            if spread is not None and entered.covariance is not None:
-                spread[valid] = entered.covariance[valid]
-        return gradient, spread, sharp
-
-    def _medians(
-        self, points: tuple[Array, Array, Array | None], ellipse: FrameEllipse, entered: EnteredPoints | None
-    ) -> tuple[Array, Array | None, Array]:
-        """Compute the medians of divergence, curl and strain over the contact ellipse of each of K frames, their
-        standard deviations, and the share of the ellipse in which the fields are known, from reference positions,
-        displacements and covariances of points.
-        """
-        measure, (reference, displacement, covariance) = self.settings.strain, points
-        center, semi_axes, angle = [part.astype(np.float32) for part in ellipse]
-        ellipses = np.concatenate((center, semi_axes, np.array((np.cos(angle), np.sin(angle))).T), 1)
-        among = fields = deviations = None
-        if entered is not None:
-            among = entered.among
-            parts, fields = entered.gradient[among].reshape(-1, 4).T, np.full((*among.shape, 5), _UNKNOWN)
-            fields[among] = _fields(parts, measure).T
-            if covariance is not None:
-                assert entered.covariance is not None, "known where that of the displacements is"
-                deviations = np.full_like(fields, _UNKNOWN)
-                deviations[among] = _field_deviations(parts, entered.covariance[among].reshape(-1, 4, 4), measure)
-        return area_medians(
-            *(reference, displacement, ellipses, covariance, among, fields, deviations),
-            measure=STRAIN_MEASURES.index(measure),
-            radius=self.settings.gauge_length_mm / 2,
-        )
-
-
-def _fields(parts: Array, measure: str) -> Array:
-    """Compute divergence, curl, exx, eyy and exy (5, P) at P points from gradients (4, P) with the rows du/dx, du/dy,
-    dv/dx, dv/dy; `measure` names the definition of strain.
-    """
-    ux, uy, vx, vy = parts
-    return np.array((ux + vy, vx - uy, *strain_parts(ux, uy, vx, vy, measure)), np.float32)
-
-
-def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
-    """Return the standard deviations (P, 5) of divergence, curl and strain, by first-order propagation of the
-    covariances `spread` (P, 4, 4) of the gradients `parts` (4, P), as `ops.field_std`.
-    """
-    ux, uy, vx, vy = parts
-    sensitivity = np.empty((parts.shape[1], 20), np.float32)
-    for column, part in enumerate(sensitivity_parts(ux, uy, vx, vy, measure)):
-        sensitivity[:, column] = part
-    rows = sensitivity.reshape(-1, 5, 4)
-    return _root(((rows @ spread) * rows).sum(-1))
-
-
-def _root(variance: Array) -> Array:
-    """Return the square roots of variances; a variance that rounding made negative counts as zero."""
-    return np.sqrt(np.maximum(variance, 0))
+        measure, radius = STRAIN_MEASURES.index(self.settings.strain), self.settings.gauge_length_mm / 2
+        inputs = reference, displacement, ellipse, covariance, entered
+        return fields_of_frames(*inputs, measure=measure, radius=radius)

@@ -10,9 +10,14 @@ import numpy as np
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.arrays import Array, with_axes_reversed
 from fingerflow.kernels.library import compiled
-from fingerflow.kernels.result_records import LocalFit
+from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse, FrameFields, LocalFit
 
-_LATTICE = limits.lattice().astype(np.float32)
+_OVER_AREA = {  # arguments of medians over an area
+    "lattice": limits.lattice().astype(np.float32),
+    **{"minimum_points": limits.MINIMUM_POINTS, "least_spread": limits.MINIMUM_SPREAD, "reach": limits.REACH},
+    **{"farthest": 2 * limits.FARTHEST_CENTROID, "least_ratio": limits.LEAST_RATIO, "even": limits.EVEN},
+    **{"same_place": limits.SAME_PLACE, "least_share": limits.LEAST_SHARE},
+}
 
 
 def local_gradients(
@@ -76,12 +81,41 @@ def area_medians(
     if apart is not None and (apart_fields is None or (apart_std is None) != (covariance is None)):
         raise ValueError("points apart have fields, and deviations where there is a covariance")
     return compiled("medians_over_area")(
-        reference=reference, displacement=displacement, ellipses=ellipses, covariance=covariance, lattice=_LATTICE,
-        apart=apart, apart_fields=apart_fields, apart_deviations=apart_std, measure=measure, radius=radius,
-        minimum_points=limits.MINIMUM_POINTS, least_spread=limits.MINIMUM_SPREAD,
-        farthest=2 * limits.FARTHEST_CENTROID, least_ratio=limits.LEAST_RATIO, reach=limits.REACH, even=limits.EVEN,
-        same_place=limits.SAME_PLACE, least_share=limits.LEAST_SHARE,
+        reference=reference, displacement=displacement, ellipses=ellipses, covariance=covariance, apart=apart,
+        apart_fields=apart_fields, apart_deviations=apart_std, measure=measure, radius=radius, **_OVER_AREA,
     )  # fmt: skip
+
+
+def fields_of_frames(
+    reference: Array,
+    displacement: Array,
+    ellipse: FrameEllipse,
+    covariance: Array | None,
+    entered: EnteredPoints | None,
+    *,
+    measure: int,
+    radius: float,
+) -> FrameFields:
+    """Compute the fields of N points in K frames and their medians over the contact, as `graphs.FieldsGraph` up to
+    rounding.
+
+    Args:
+        reference, displacement: (N, 2) and (K, N, 2).
+        ellipse: of the contact in each frame.
+        covariance: (K, N, 2, 2) of the displacements, or None.
+        entered: points with gradients of their own, or None.
+        measure: index into `field_limits.STRAIN_MEASURES`.
+        radius: of the support of a fit.
+    """
+    among, gradient, spread = (None, None, None) if entered is None else entered
+    if among is not None and covariance is not None and spread is None:
+        raise ValueError("points that entered have deviations where there is a covariance")
+    center, semi_axes, angle = [part.astype(np.float32, copy=False) for part in ellipse]
+    return FrameFields(*compiled("fields_of_frames")(
+        reference=reference, displacement=displacement, covariance=covariance, center=center, semi_axes=semi_axes,
+        angle=angle, apart=among, apart_gradient=gradient, apart_covariance=spread, measure=measure, radius=radius,
+        sharpened=limits.SHARPENED, sharpened_noise=limits.SHARPENED_NOISE, **_OVER_AREA,
+    ))  # fmt: skip
 
 
 def triangle_strain(

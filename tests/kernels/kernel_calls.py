@@ -18,9 +18,10 @@ from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking
 from fingerflow.kernels.contact import contact_threshold
+from fingerflow.kernels.fields import fields_of_frames
 from fingerflow.kernels.kernel import Kernel
 from fingerflow.kernels.library import compiled
-from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
 from fingerflow.kernels.tensors import twin
 from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.tracker.displacement_medians import displacement_medians
@@ -122,6 +123,8 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
     lit = (frames, (glass, black))
     doubles = (values.astype(np.float64) for values in (moved, moved - points, deviation))
     ellipse = FrameEllipse(np.full((2, 2), 100.0), np.full((2, 2), 80.0), np.zeros(2))
+    spread = np.broadcast_to(np.eye(4, dtype=np.float32).reshape(2, 2, 2, 2), (2, 60, 2, 2, 2, 2))
+    entered_points = EnteredPoints(random.random((2, 60)) < 0.2, covariance, spread)
     windows = {"then": grey[0], "around": grey[2:], "now": grey[1]}
     return {
         "contact_of_frames": call(engine.contact, *lit, np.full(2, 0.5, np.float32)),
@@ -144,6 +147,9 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
         ),
         "detect_points": call(engine.detect, frame, everywhere[0, 0], 20),
         "displacement_medians": call(displacement_medians, *doubles, ellipse, 40.0),
+        "fields_of_frames": call(
+            fields_of_frames, points, moved - points, ellipse, covariance, entered_points, measure=0, radius=40.0
+        ),
     }
 
 

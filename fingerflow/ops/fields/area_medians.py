@@ -13,10 +13,10 @@ from torch import Tensor
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
-from fingerflow.kernels.strain_formulas import check_measure, sensitivity_parts, strain_parts
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.fields.scattered import check_gauge_length, check_scattered
+from fingerflow.ops.fields.strain import check_measure, sensitivity_parts, strain_parts
 from fingerflow.ops.fields.strain_uncertainty import field_std
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
@@ -187,7 +187,7 @@ def _medians(
 
     covariance, joint = torch.where(usable, covariance, 0.0), torch.zeros_like(median)
     xx, xy, yx, yy = gradient.split(1, dim=1)
-    parts = sensitivity_parts(xx, xy, yx, yy, measure, torch.zeros_like(xx), torch.ones_like(xx))
+    parts = sensitivity_parts(xx, xy, yx, yy, measure)
     sensitivity = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
     variance = _even_variance(fit, sensitivity, covariance, radius)
     if std is not None:

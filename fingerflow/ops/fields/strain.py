@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.strain_formulas import strain_parts as strain_parts
+from fingerflow.kernels.field_limits import STRAIN_MEASURES
 from fingerflow.ops.tensors import half_angle, hypotenuse
 
 
@@ -189,6 +189,39 @@ def stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, fl
     scale = young_modulus_mpa / (1 + poisson_ratio)
     direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))
     return direct, scale * poisson_ratio / (1 - 2 * poisson_ratio), scale
+
+
+def check_measure(measure: str) -> None:
+    """Raise ValueError if there is no such strain measure."""
+    if measure not in STRAIN_MEASURES:
+        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+
+
+def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the strain components exx, eyy and exy of a displacement gradient; see `green_lagrange`."""
+    check_measure(measure)
+    exx, eyy, exy = ux, vy, (uy + vx) / 2
+    if measure != "infinitesimal":
+        exx = exx + (ux * ux + vx * vx) / 2
+        eyy = eyy + (uy * uy + vy * vy) / 2
+    if measure == "green_lagrange":
+        exy = exy + (ux * uy + vx * vy) / 2
+    return exx, eyy, exy
+
+
+def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
+    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the elements du/dx, du/dy, dv/dx and
+    dv/dy of a displacement gradient: 20 parts, four of each field in turn.
+    """
+    check_measure(measure)
+    none, unit = torch.zeros_like(ux), torch.ones_like(ux)
+    # Derivatives of e_ij = (F_ki F_kj - delta_ij) / 2 with F = I + gradient; for infinitesimal strain F is I.
+    identity, moved = (unit, none, none, unit), (1 + ux, uy, vx, 1 + vy)
+    xx, xy, yx, yy = identity if measure == "infinitesimal" else moved
+    divergence, curl = (unit, none, none, unit), (none, -unit, unit, none)
+    exx, eyy = (xx, none, yx, none), (none, xy, none, yy)
+    xx, xy, yx, yy = (part / 2 for part in (moved if measure == "green_lagrange" else identity))
+    return [*divergence, *curl, *exx, *eyy, xy, xx, yy, yx]
 
 
 def _parts(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

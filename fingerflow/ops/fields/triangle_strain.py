@@ -11,8 +11,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import STRAIN_MEASURES
-from fingerflow.kernels.strain_formulas import strain_parts
-from fingerflow.ops.fields.strain import energy_form, stiffness, stress_parts
+from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
 
 # Correlation between the position errors of neighbouring points: (M, 3) of corners 0 and 1, 1 and 2, 2 and 0 of each
