@@ -1,6 +1,6 @@
 """Plan of a run: the ordered stages that are needed for the requested outputs."""
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError, did_you_mean
@@ -43,49 +43,39 @@ class Plan(NamedTuple):
         ]
 
 
-def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
+def plan(outputs: Collection[str] | None, scene: Scene) -> Plan:
     """Return the plan of a run: the stages for the requested outputs, and all stages on which these depend.
 
     None requests all that the scene's kind computes by default and its settings allow. Raises FingerflowError for an
     output that does not exist or that the scene cannot give.
     """
-    stages = {stage: stage.variant(scene) for stage in all_stages()}
+    stage_of = {variable.name: stage for stage in all_stages() for variable in stage.gives}
+    keys = {name: (*VARIABLES[name].needs, *_needed_keys(stage)) for name, stage in stage_of.items()}
+    lacking = {name: [key for key in needed if not scene.has(key)] for name, needed in keys.items()}
+    named = frozenset(profiles.OUTPUTS.get(scene.profile or "", ()) if outputs is None else outputs)
     if outputs is None:
+        default = [name for name, variable in VARIABLES.items() if variable.unasked or name in named]
         without = KINDS[scene.kind].without
-        possible = [
-            stage for base, stage in stages.items() if base.name not in without and not _missing_keys(stage, scene)
-        ]
-        also = profiles.OUTPUTS.get(scene.profile or "", frozenset())
-        requested = [stage for stage in possible if any(one.unasked or one.name in also for one in stage.gives)]
-        return _add_needs(requested, also, stages.values())
-    names, stage_of = list(outputs), {variable.name: stage for stage in stages.values() for variable in stage.gives}
-    for name in names:
+        outputs = [name for name in default if not lacking[name] and stage_of[name].name not in without]
+    for name in outputs:
         if name not in VARIABLES:
             hint = did_you_mean(name, OUTPUTS)
             raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
-        stage = stage_of[name]
-        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _missing_keys(stage, scene)
-        if lacking:
-            outputs = [output for output in OUTPUTS if not _missing_keys(stage_of[output], scene)]
-            outputs = [output for output in outputs if all(map(scene.has, VARIABLES[output].needs))]
-            why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
-            raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(outputs)}")
-    return _add_needs([stage_of[name] for name in names], frozenset(names), stages.values())
-
-
-def _add_needs(requested: Iterable[type[Stage]], named: frozenset[str], stages: Iterable[type[Stage]]) -> Plan:
-    needed, ordered = set(requested), list(stages)
-    for stage in reversed(ordered):  # a stage comes after those that it needs
+        if missing := lacking[name]:
+            possible = ", ".join(output for output in OUTPUTS if not lacking[output])
+            why = _REMEDIES.get(missing[0], f"needs {missing[0]}, which the scene does not have")
+            raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {possible}")
+    needed = {stage_of[name] for name in outputs}
+    for stage in reversed(all_stages()):  # a stage comes after those that it needs
         if stage in needed:
             needed.update(stage.after, stage.same_pass)
-    run = tuple(stage for stage in ordered if stage in needed)
+    run = tuple(stage.variant(scene) for stage in all_stages() if stage in needed)
     stored = {name.removesuffix("_std") for name in named.union(*(stage.reads for stage in run))}
     return Plan(run, frozenset(name for name in VARIABLES if name.removesuffix("_std") in stored))
 
 
-def _missing_keys(stage: type[Stage], scene: Scene) -> list[str]:
+def _needed_keys(stage: type[Stage]) -> list[str]:
     """Return the dotted scene keys, such as "calibration.mm_per_px", that a stage or one of the stages on which it
-    depends needs, and that the scene lacks.
+    depends needs.
     """
-    lacking = [need for need in stage.needs if not scene.has(need)]
-    return lacking + [key for needed in (*stage.after, *stage.same_pass) for key in _missing_keys(needed, scene)]
+    return [*stage.needs, *(key for needed in (*stage.after, *stage.same_pass) for key in _needed_keys(needed))]

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import xarray as xr
@@ -41,54 +41,16 @@ _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spa
 _PIECE_BYTES = 1 << 20  # bytes of other files that are held in memory at a time
 
 
-class StageKey(NamedTuple):
-    """Cache key of a stage: a digest of everything that determines its results (settings, inputs and code), and the
-    values of the settings used.
-
-    Attributes:
-        digest: of all of it.
-        settings: values by dotted keys of the scene. A file is represented by the digest of `_written`.
-    """
-
-    digest: str
-    settings: Mapping[str, Any]
+#: Cache keys of stages by class: the "digest" of everything that determines their results (settings, inputs and code),
+#: and the values of the "settings" used by dotted keys of the scene. The digest of `_written` represents a file.
+Keys = dict[type[Stage], dict[str, Any]]
 
 
-class Reused(NamedTuple):
-    """Outcome of comparing a plan with an earlier result: stages to reuse, and why each other stage is computed.
-
-    Attributes:
-        earlier: the earlier result, open.
-        path: its file.
-        stages: stages whose results are copied from it.
-        computed: for each other stage, a sentence that says why it is computed again.
-    """
-
-    earlier: xr.Dataset
-    path: Path
-    stages: frozenset[type[Stage]]
-    computed: Mapping[type[Stage], str]
-
-    def restore(self, stage: Stage) -> None:
-        """Copy a stage's results and warnings from the earlier result, instead of running the stage."""
-        stage.restore(self.earlier)
-        stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
-
-    def as_json(self) -> str:
-        """Return as JSON which stages were reused, and why each other stage was computed."""
-        names = sorted(stage.name for stage in self.stages)
-        computed = {stage.name: why for stage, why in self.computed.items()}
-        return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
-
-
-def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the cache keys of all planned stages, as a dictionary by stage class.
-
-    `engine` is the name that the result states, `recording` the digest by `identity_of`.
-    """
+def stage_keys(plan: Plan, inputs: Inputs, recording: str) -> Keys:
+    """Return the cache keys of all planned stages; `recording` is the digest by `identity_of`."""
     values = json.loads(inputs.scene.as_json())
-    common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
-    keys: dict[type[Stage], StageKey] = {}
+    common = [code_version(), kernels.serve(), torch.__version__, inputs.engine.name, inputs.device.type]
+    keys: Keys = {}
     recording += recording and _written(inputs.recording.path)  # empty where no stage reads pictures
     settings_of = cache(lambda name: [*_settings(name, values, inputs)])  # several stages digest the same files
     pictures: set[type[Stage]] = set()  # stages whose results depend on frames
@@ -97,31 +59,26 @@ def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[
         settings = dict(pair for name in stage.settings for pair in settings_of(name))
         if stage.reads_frames or pictures.intersection(before):
             pictures.add(stage)
-        seen, of_stages = recording if stage in pictures else "", [keys[earlier].digest for earlier in before]
-        keys[stage] = StageKey(digest_of(stage.name, settings, seen, of_stages, common), settings)
+        seen, of_stages = recording if stage in pictures else "", [keys[earlier]["digest"] for earlier in before]
+        digest = digest_of(stage.name, settings, seen, of_stages, common)
+        keys[stage] = {"digest": digest, "settings": settings}
     return keys
 
 
-def record(
-    plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
-) -> str:
+def record(keys: Keys, stages: Mapping[type[Stage], Stage], results: Store) -> str:
     """Return cache key, variable names and warnings of each stage as JSON, to be stored in the result for later
     reuse.
     """
-    return json.dumps(
-        {
-            stage.name: {
-                **keys[stage]._asdict(),
-                "gave": [variable.name for variable in stage.gives if variable.name in results],
-                "warnings": stages[stage].warnings,
-            }
-            for stage in plan.stages
-        }
-    )
+    rows = {}
+    for stage, key in keys.items():
+        gave = [variable.name for variable in stage.gives if variable.name in results]
+        rows[stage.name] = {**key, "gave": gave, "warnings": stages[stage].warnings}
+    return json.dumps(rows)
 
 
-def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], StageKey], inputs: Inputs) -> Reused:
-    """Compare a plan with an earlier result, and return which stages can be copied from it instead of run again.
+def reasons_to_compute(earlier: xr.Dataset, path: Path, plan: Plan, keys: Keys, inputs: Inputs) -> dict[str, str]:
+    """Compare a plan with an earlier result, and return by the names of stages why each is computed again; the other
+    stages can be copied from the result.
 
     Raises FingerflowError where the result is of another recording, or of other frames of it.
     """
@@ -132,21 +89,21 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
         )
     earlier_stages: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
     whole = "" if earlier_stages else f"{path} of an older version does not say what its stages depend on"
-    computed: dict[type[Stage], str] = {}
+    computed: dict[str, str] = {}
     for stage in plan.stages:
         if why := whole or _reason_to_compute(stage, plan, keys[stage], earlier_stages.get(stage.name), computed):
-            computed[stage] = why
+            computed[stage.name] = why
     # A stage that runs needs the steps of the stages in `same_pass`, and the stages in `after` unless these can be
     # `restored`.
     for stage in reversed(plan.stages):
-        if stage in computed:
+        if stage.name in computed:
             for needed in (*stage.same_pass, *(earlier for earlier in stage.after if not earlier.restored)):
-                computed.setdefault(needed, f"{stage.name} needs what only it knows")
-    return Reused(earlier, path, frozenset(stage for stage in plan.stages if stage not in computed), computed)
+                computed.setdefault(needed.name, f"{stage.name} needs what only it knows")
+    return computed
 
 
 def _reason_to_compute(
-    stage: type[Stage], plan: Plan, key: StageKey, record: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
+    stage: type[Stage], plan: Plan, key: Mapping[str, Any], record: Mapping[str, Any] | None, computed: dict[str, str]
 ) -> str:
     """Return why a stage must be computed, or "" if the earlier results of the stage can be reused."""
     if record is None:
@@ -155,17 +112,17 @@ def _reason_to_compute(
     lacking = sorted((optional & plan.requested).difference(record["gave"]))
     if lacking:
         return f"{lacking[0]} is not there"
-    if record["digest"] == key.digest:
+    if record["digest"] == key["digest"]:
         return ""
     then: Mapping[str, Any] = record["settings"]
     changed = [
         f"{name} was {then.get(name)!s:.60} and is {value!s:.60}"
-        for name, value in key.settings.items()
+        for name, value in key["settings"].items()
         if then.get(name) != value
     ]
     if changed:
         return ", ".join(changed)
-    before = [earlier.name for earlier in (*stage.after, *stage.same_pass) if earlier in computed]
+    before = [earlier.name for earlier in (*stage.after, *stage.same_pass) if earlier.name in computed]
     version = "it was computed by another version of the code, by another engine, or from other frames"
     return f"it depends on {', '.join(before)}" if before else version
 

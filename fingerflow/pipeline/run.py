@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from fingerflow import __version__
 from fingerflow.pipeline.plan import VARIABLES, Plan, plan
-from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, record, reused, stage_keys
+from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, reasons_to_compute, record, stage_keys
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.recordings.identity import identity_of
@@ -107,22 +107,24 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
     stages: dict[type[Stage], Stage] = {}
     trial = RunContext(inputs, store, planned.stages, planned.requested, stages)
     reuse: dict[str, str] = {}
-    taken_over: frozenset[type[Stage]] = frozenset()
+    computed = {stage.name: "" for stage in planned.stages}
     with ExitStack() as held:
         # If only forces are processed, no frame is read and the recording needs no identity.
         recording = identity_of(inputs.recording) if any(stage.reads_frames for stage in planned.stages) else ""
-        keys = stage_keys(planned, inputs, inputs.engine.name, recording)
+        keys = stage_keys(planned, inputs, recording)
         if earlier is not None:
             path = Path(earlier)
-            earlier_result = reused(held.enter_context(open_result(path)), path, planned, keys, inputs)
-            reuse[TAKEN_OVER], taken_over = earlier_result.as_json(), earlier_result.stages
+            earlier_result = held.enter_context(open_result(path))
+            computed = reasons_to_compute(earlier_result, path, planned, keys, inputs)
+            names = sorted({stage.name for stage in planned.stages} - computed.keys())
+            reuse[TAKEN_OVER] = json.dumps({"from": str(path), "stages": names, "computed": computed})
         for kinds in planned.passes():
             for stage_class in kinds:
                 stages[stage_class] = stage_class(trial)
-                if stage_class in taken_over:
+                if stage_class.name not in computed:
                     with _timed(seconds, stage_class.name):
-                        earlier_result.restore(stages[stage_class])
-            _pass([stages[kind] for kind in kinds if kind not in taken_over], trial, seconds, progress)
+                        stages[stage_class].restore(earlier_result)
+            _pass([stages[kind] for kind in kinds if kind.name in computed], trial, seconds, progress)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     scene = inputs.scene
@@ -137,7 +139,7 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
             "strain_measure": scene.fields.strain,
             "engine": inputs.engine.name,
             "warnings": json.dumps([*inputs.warnings, *(text for stage in stages.values() for text in stage.warnings)]),
-            STAGES: record(planned, keys, stages, store),
+            STAGES: record(keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
             "mm_per_px": inputs.mm_per_px,
             "topography_to_contact": json.dumps(inputs.geometry.topography_to_contact.tolist()),

@@ -1,5 +1,6 @@
 """Base class of pipeline stages, with the inputs and outputs of a stage and the methods that a run calls."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -147,7 +148,10 @@ class Stage:
         """Compute the results that need all frames, and add warnings, after the last batch."""
 
     def restore(self, earlier: xr.Dataset) -> None:
-        """Copy the results of the stage from an earlier result, instead of computing them by `begin` to `derive`."""
+        """Copy results and warnings of the stage from an earlier result, instead of computing them by `begin` to
+        `derive`.
+        """
+        self.warnings += json.loads(earlier.attrs["stages"])[self.name]["warnings"]
         for variable in self.gives:
             if variable.name in earlier and self.trial.stores(variable):
                 values = earlier[variable.name]
