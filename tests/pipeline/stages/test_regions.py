@@ -12,7 +12,7 @@ from matplotlib.path import Path as Outline
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.pipeline.stages.preparation.regions import region_mask
+from fingerflow.pipeline.stages.preparation.inputs import region_mask
 from fingerflow.player.stream_scene import load_scene as load_stream
 from fingerflow.player.stream_scene import stream_settings
 from fingerflow.recordings.drawn_region import drawn_mask

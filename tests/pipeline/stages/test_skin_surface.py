@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
-from fingerflow.pipeline.stages.slip.skin_surface import SkinSurface
+from fingerflow.pipeline.stages.slip.slip_grid import SkinSurface
 
 DRAW = np.random.default_rng(0)
 POINTS, PLACES = 12 * DRAW.random((120, 2)), 1 + 10 * DRAW.random((300, 2))

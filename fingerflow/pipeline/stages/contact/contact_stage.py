@@ -16,9 +16,8 @@ from fingerflow.ops.contact.cells import mask_of
 from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
+from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames, region_mask
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
-from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT, sparse_border_mm
 from fingerflow.tracker import area_steps
@@ -72,9 +71,7 @@ class ContactStage(Stage):
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
 
     def begin(self) -> None:
-        reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
-        glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
-        light, level = glass_light(glass, black)
+        light, level = glass_light(*self.inputs.glass(self._view))
         self._glass, self._black = light[0, 0], level[0, 0]
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
         drawn = region_mask(self.inputs.scene, "contact")

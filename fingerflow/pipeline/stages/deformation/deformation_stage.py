@@ -2,6 +2,7 @@
 fields by local fits, and medians over the gross contact.
 """
 
+import math
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,18 +10,17 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.engines.engine import FrameEllipse
-from fingerflow.kernels.array_types import Numbers, Points
+from fingerflow.kernels.array_types import Array, Numbers, Points
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.deformation.common_frame import common_frame
-from fingerflow.pipeline.stages.deformation.residual_deviations import residual_deviations
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.reference import resolve_reference
+from fingerflow.pipeline.stages.preparation.inputs import resolve_reference
 from fingerflow.pipeline.stages.preparation.series import rate
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
@@ -31,8 +31,14 @@ from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
-from fingerflow.tracker.onset import Touches, Touching
+from fingerflow.tracker.onset import Touches, Touching, interpolate_displacement
 from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
+
+# Measured on presses, slides and partial slips of real prints: the error of the rigid motion of least squares over the
+# median deviation of the points, and that of the median length over their mean deviation by curvature within windows,
+# which pulls all skin beside slip alike, and by the time of onset, most of which is that of single points.
+_OF_MOTION, _OF_CURVATURE, _OF_ONSET = 0.5, 1.4, 0.25
+_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector with two components of the deviation 1
 
 
 class DeformationStage(Stage):
@@ -81,15 +87,12 @@ class DeformationStage(Stage):
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
-        self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
-        self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
-        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
-        self._median, self._variance, self._bias = np.full((3, len(trial), 5), np.nan)
-
     def begin(self) -> None:
         inputs = self.inputs
+        self.mm_per_px = inputs.geometry.topography_mm_per_px  # scale of the topographic view
+        self._settings, self._engine = inputs.scene.fields, inputs.engine
+        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
+        self._median, self._variance, self._bias = np.full((3, len(self.trial), 5), np.nan)
         status = self.results["frame_status"][:]
         then, self.attributes = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
         self.by_onsets, self.reference_frame = then is None, then
@@ -316,14 +319,11 @@ class DeformationStage(Stage):
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
         usable = np.flatnonzero(self.usable[indices])  # an unusable frame does not end a touch
-        if len(usable) == len(indices):
-            touching = touch.add_frames(indices, covered, position, variance, border)
-        else:
-            unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
-            touching = Touching(np.full_like(position, np.nan), *unknown, *none)
-            part = indices[usable], covered[usable], position[usable], variance[usable], border.select(usable)
-            for whole, values in zip(touching, touch.add_frames(*part) if len(usable) else (), strict=False):
-                whole[usable] = values
+        unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
+        touching = Touching(np.full_like(position, np.nan), *unknown, *none)
+        part = indices[usable], covered[usable], position[usable], variance[usable], border.select(usable)
+        for whole, values in zip(touching, touch.add_frames(*part) if len(usable) else (), strict=False):
+            whole[usable] = values
         if not self.by_onsets:
             reference = np.where(touching.touching[..., None], self._fixed, np.nan)
             exact = np.broadcast_to(self._fixed_noise, variance.shape)
@@ -372,6 +372,59 @@ class SteadyPositions:
 
     def __getitem__(self, frames: Any) -> Points:
         return steady(self._position[frames], self._motion[frames, None])
+
+
+def common_frame(
+    position: Values, status: Values, first: int, backward: bool, mm_per_px: float
+) -> tuple[Points, Numbers]:
+    """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
+    later, and the frames (N,) in which they were seeded, from `position` (F, N, 2) mm and track `status` (F, N).
+
+    They were first seeded in frame `first` and tracked from there, forward or `backward`. The position of a point
+    seeded later is that in its first frame, less the displacement of the points around it since the first seeding.
+    These are coordinates of the skin extrapolated beyond the region that was seen. Gradients between two later frames,
+    F(t) F(s)^-1, do not depend on them.
+
+    That displacement is a mean over few points (`interpolate_displacement`). It differs little between neighbouring
+    points, so that the skin does not fold, and it stays bounded far away, unlike an extrapolated plane. Where hardly a
+    point is left, as after a finger was lifted, new points start without a displacement.
+    """
+    positions = np.array(position[first : first + 1][0], dtype=np.float64)
+    later = status[first : first + 1][0] == TrackStatus.NOT_SEEDED_YET
+    waiting, frames = np.zeros(len(positions), np.intp), status.shape[0]
+    for begin in range(0, frames if later.any() else 0, FRAMES_READ):
+        waiting += (status[begin : begin + FRAMES_READ] == TrackStatus.NOT_SEEDED_YET).sum(0)
+    seeded = np.where(later, frames - 1 - waiting if backward else waiting, first)
+    for frame in sorted(set(seeded[later].tolist()), reverse=backward):
+        now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))
+        moved, _ = interpolate_displacement(now / mm_per_px, now - positions, now[new] / mm_per_px, fewest=1)
+        positions[new] = now[new] - np.nan_to_num(moved)
+    return positions, seeded
+
+
+def residual_deviations(
+    length: Array, median: Array, square: Array, noise: Array, curvature: Array
+) -> tuple[Array, Array]:
+    """Return two standard deviations, mm: that of a component of the residual displacement of N points in n frames
+    (n, N), and that of the median length of these residuals (n,).
+
+    Noise adds sqrt(median^2 + b^2) - median at most to a length whose median would be b without a residual.
+
+    Args:
+        length: (n, N) mm, of the residuals, NaN where unknown.
+        median: (n,) mm, of it.
+        square: (n, N) mm^2, mean square error of a displacement component.
+        noise, curvature: (n, N) mm^2, parts of it by image noise and by displacement that is curved within windows; the
+            rest is by the time of onset.
+    """
+    known = np.isfinite(length)
+    deviation = np.sqrt(np.where(known, square, np.nan))
+    parts = np.where(known, np.maximum((noise, curvature, square - noise - curvature), 0), 0)
+    by_noise, by_curvature, by_onset = np.sqrt(parts).sum(2) / np.maximum(known.sum(1), 1)
+    alone = _MEDIAN_LENGTH * by_noise
+    added = alone**2 / np.maximum(np.maximum(median, alone), 1e-12)
+    of_median = np.sqrt(added**2 + (_OF_CURVATURE * by_curvature) ** 2 + (_OF_ONSET * by_onset) ** 2)
+    return np.hypot(deviation, _OF_MOTION * nanmedian(deviation)[:, None]), of_median
 
 
 def _runs(frames: int) -> list[Numbers]:

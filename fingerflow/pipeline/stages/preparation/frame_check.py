@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.schema.variables import FRAME_CHECK, JUMPS, NOT_FINITE, REPEATED, UNREADABLE, USABLE
 from fingerflow.tracker import frame_copies
 from fingerflow.tracker.block_means import PictureCheck, block_means
@@ -35,23 +35,15 @@ class FrameCheckStage(Stage):
     reads_frames = True
     settings = ("background", "contact.appears", "views.contact", "views.topography", "recording.first_frame")
 
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
+    def begin(self) -> None:
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
-        self._status = np.zeros(len(trial), np.uint8)
+        self._status = np.zeros(len(self.trial), np.uint8)
         self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._keys: list[frame_copies.FrameKey] = []
-
-    def begin(self) -> None:
-        contact = self._views[0]
-        dark, depth = self.inputs.dark(contact), self.inputs.recording.bit_depth
-        self._alone = PictureCheck(
-            self.inputs.reference(contact)[0, 0].cpu().numpy(),
-            None if dark is None else dark[0, 0].cpu().numpy(),
-            np.inf if depth is None else 2**depth - 1.5,
-        )
+        depth = self.inputs.recording.bit_depth
+        self._alone = PictureCheck(*self.inputs.glass(views.contact), np.inf if depth is None else 2**depth - 1.5)
 
     def step(self, batch: Batch) -> None:
         indices = batch.indices

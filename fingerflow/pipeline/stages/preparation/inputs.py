@@ -1,23 +1,29 @@
-"""Inputs of a run, opened and checked: recording, background, calibration and compute engine."""
+"""Inputs of a run, opened and checked: recording, background, calibration, regions of interest, frame from which
+displacement counts, and compute engine.
+"""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.engines.choice import ENGINES, engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
-from fingerflow.kernels.array_types import Array, Picture, Series
-from fingerflow.pipeline.stages.preparation.reference import requested_frame
+from fingerflow.kernels.array_types import Array, Mask, Picture, Series
 from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings.drawn_region import drawn_mask
 from fingerflow.recordings.lens import Geometry
+from fingerflow.schema.key_types import parse_seconds
 from fingerflow.schema.keys import keys_of
 from fingerflow.schema.scene import Scene, check_scale
+from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
 
@@ -30,6 +36,10 @@ _LEAST_LIGHT = 0.05  # least share of the light of the empty glass that a pictur
 _KEPT_BYTES = 512 * 2**20
 #: Keys of the scale of the contact view.
 SCALE_KEYS = ("calibration.mm_per_px", "calibration.intrinsics", "calibration.distortion")
+_ONSET = (
+    "each point's own onset, the frame in which the contact comes to cover it. Gradients are by the positions of onset "
+    "(Willemet et al. 2021), and differ from the strain of skin that moves while the contact grows over it"
+)
 
 
 @dataclass
@@ -121,12 +131,14 @@ class Inputs:
             )
         return dark
 
-    def _still(self, path: Any, view: View) -> Tensor:
-        if (path, view) not in self._stills:
-            self._stills[path, view] = self._read_still(path, view)
-        return self._stills[path, view]
+    def glass(self, view: View) -> tuple[Array, Array | None]:
+        """Return `reference` and `dark` as arrays (h, w)."""
+        reference, dark = self.reference(view)[0, 0].cpu().numpy(), self.dark(view)
+        return reference, None if dark is None else dark[0, 0].cpu().numpy()
 
-    def _read_still(self, path: Any, view: View) -> Tensor:
+    def _still(self, path: Any, view: View) -> Tensor:
+        if (path, view) in self._stills:
+            return self._stills[path, view]
         remedy = "record it with the same camera settings"
         with open_recording(path) as still:
             if still.frame_shape != self.recording.frame_shape:
@@ -151,7 +163,8 @@ class Inputs:
             if not whole:
                 raise FingerflowError(f"{path}: frame 0 of the background {part.unreadable[0]}; {remedy}")
             mean = pictures[whole].mean(axis=0, dtype=np.float64)
-        return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
+        self._stills[path, view] = torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
+        return self._stills[path, view]
 
 
 def read_frames(part: Recording) -> Array:
@@ -214,6 +227,91 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
     if len(selected) == 1:
         warnings.append("one frame: nothing has moved since, displacement, divergence and strain are 0 by definition")
     return Inputs(scene, selected, times, chosen, warnings, _engine(engine, scene, chosen))
+
+
+def requested_frame(scene: Scene, times: Series) -> int | None:
+    """Return the frame that the setting `fields.reference` gives as a number or time; None for a word such as "onset".
+
+    Frames count from 0 at the first selected frame; `times` (frames,) s. Raises FingerflowError for a frame outside the
+    selection.
+    """
+    setting, first = scene.fields.reference, scene.recording.first_frame
+    seconds = parse_seconds(setting)
+    if seconds is not None:
+        half_step = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.0
+        within = times[0] - half_step <= seconds <= times[-1] + half_step
+        frame = int(np.argmin(np.abs(times - seconds)))
+    elif isinstance(setting, int):
+        frame = setting - first
+        within = 0 <= frame < len(times)
+    else:
+        return None
+    if not within:
+        raise FingerflowError(
+            f"{scene.path}: fields.reference is {setting!r}, and the frames that count are {first} to "
+            f"{first + len(times) - 1}, from {times[0]:g} to {times[-1]:g} s after the trigger; give one of them"
+        )
+    return frame
+
+
+def resolve_reference(
+    scene: Scene, times: Series, status: NDArray[np.integer], warnings: list[str]
+) -> tuple[int | None, dict[str, str | int]]:
+    """Return the frame from which displacement counts, from 0 at the first selected frame, or None for each point's own
+    onset; and the attributes that say so of a result variable, with the number of the frame in the file.
+
+    `times` (s) and `status` are those of all frames. Raises FingerflowError for a frame outside the selection or an
+    unusable one.
+    """
+    setting, first = scene.fields.reference, scene.recording.first_frame
+    if setting in ("onset", "dilated_onset"):
+        rim = f"; the contact has a rim of {scene.contact.gross_radius_px} px here" if setting != "onset" else ""
+        return None, {"reference": _ONSET + rim}
+    usable = np.flatnonzero(status == USABLE)
+    frame = requested_frame(scene, times)
+    if frame is None:
+        frame = int(usable[0])
+        if frame:
+            warnings.append(
+                f"fields.reference is {setting!r}: frame {first} is {FRAME_STATUS[status[0]]}, so displacement counts "
+                f"from frame {frame + first}, the first that can be measured"
+            )
+    if frame not in usable:
+        near = int(usable[np.argmin(np.abs(usable - frame))]) + first
+        raise FingerflowError(
+            f"{scene.path}: fields.reference is {setting!r}, which is frame {frame + first}: it is "
+            f"{FRAME_STATUS[status[frame]]}, so no point is known there; take frame {near}"
+        )
+    definition = f"frame {frame + first}, {times[frame]:.4g} s from the trigger, for all points that are known there"
+    return frame, {"reference": f"{definition}; values are of skin in contact", "reference_frame": frame + first}
+
+
+def region_mask(scene: Scene, name: str) -> Mask | None:
+    """Return the mask (h, w) of the region of interest of a view; None if the scene defines none.
+
+    Raises FingerflowError for a region without a pixel of the view, and for a mask image that cannot be read or has
+    another size.
+    """
+    view = scene.views[name]
+    if view.region is None:
+        return None
+    key = f"{scene.path}: views.{name}.region"
+    mask = drawn_mask(view.region, view.shape)
+    if (path := view.region.mask) is not None:
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE) if path.stat().st_size else None
+        if picture is None:
+            raise FingerflowError(f"{key}: {path} is no picture that can be read; save it as PNG")
+        if picture.shape != view.shape:
+            raise FingerflowError(
+                f"{key}: {path} has {picture.shape[0]} x {picture.shape[1]} px, the view {view.shape[0]} x "
+                f"{view.shape[1]}; draw it on the view, pixel by pixel"
+            )
+        mask = picture > 0
+    if not mask.any():
+        raise FingerflowError(
+            f"{key} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px, counted from its own corner"
+        )
+    return mask
 
 
 def _engine(name: str, scene: Scene, device: torch.device) -> Engine:

@@ -10,14 +10,13 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.recordings import Forces, open_forces
 from fingerflow.recordings.forces.newtons import to_newtons
-from fingerflow.schema.scene_tables import ForceSettings
 from fingerflow.schema.variables import LOADING
 
 _LEAST_OFFSET = 0.2  # N, smallest offset of an unloaded sensor that is reported
 _OFFSET_SHARE = 0.05  # smallest such offset as a share of the largest force
 _LEAST_TANGENTIAL = 0.05  # N, tangential force below which its direction is undefined
-# Names of the channels of a tangential force with one or two components.
-_TANGENTIAL = ("tangential_force", "tangential_force_across")
+# Names of the channels: normal force, and tangential force with one or two components.
+_NAMES = ("normal_force", "tangential_force", "tangential_force_across")
 
 
 class LoadingStage(Stage):
@@ -34,17 +33,13 @@ class LoadingStage(Stage):
         settings, inputs = self.inputs.scene.forces, self.inputs
         if settings is None:
             return
-        names = _channels(settings)
+        sideways = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
+        columns = [settings.normal, *(column for column in sideways if column is not None)]
+        names = dict(zip(_NAMES, columns, strict=False))  # column of each force in the file
         travel = {} if settings.position is None else {"actuator_position": settings.position}
-        forces = open_forces(
-            settings.file,
-            channels=names | travel,
-            units=None if settings.units is None else dict.fromkeys(names.values(), settings.units),
-            time=settings.time,
-            sample_rate=settings.sample_rate,
-            trigger=settings.trigger,
-            lengths=travel.values(),
-        )
+        units = None if settings.units is None else dict.fromkeys(names.values(), settings.units)
+        clock = settings.time, settings.sample_rate, settings.trigger
+        forces = open_forces(settings.file, names | travel, units, *clock, lengths=travel.values())
         if forces.trigger in names:
             raise FingerflowError(
                 f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
@@ -70,7 +65,7 @@ class LoadingStage(Stage):
         self.warnings += plausibility.check_force(values["normal_force"])
         if travel:
             self.series["actuator_position"] = 1e3 * values["actuator_position"]
-        normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
+        normal, *components = (values[name] for name in names)
         self.series["normal_force"] = normal
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
@@ -119,10 +114,3 @@ class LoadingStage(Stage):
                 f"{file}: the normal force falls to {lowest:.2g} N, but not below {of_frames.min():.2g} N in the "
                 "frames that count: they begin in contact. Lower recording.first_frame, or check the trigger"
             )
-
-
-def _channels(settings: ForceSettings) -> dict[str, str | int]:
-    """Return a mapping from force name, such as "normal_force", to the column of the force file."""
-    tangential = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
-    named = [column for column in tangential if column is not None]
-    return {"normal_force": settings.normal, **dict(zip(_TANGENTIAL, named, strict=False))}

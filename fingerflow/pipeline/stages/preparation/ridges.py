@@ -44,9 +44,8 @@ def skin_patch(contact: NDArray[np.number], light: NDArray[np.floating], inside:
     scale = min(1.0, _SIDE_PX / max(len(rows), len(columns)))
     share = (contact[box] / np.where(light[box] > 0, light[box], np.inf)).clip(0, 1.5).astype(np.float32)
     within = _reduced(inside[box].astype(np.float32), scale) > 0.5
-    return SkinPatch(
-        _flat(_reduced(np.asarray(cv2.medianBlur(share, 3), np.float32), scale), within), within, box, scale
-    )
+    smooth = np.asarray(cv2.medianBlur(share, 3), np.float32)
+    return SkinPatch(_flat(_reduced(smooth, scale), within), within, box, scale)
 
 
 def period_px(skin: SkinPatch) -> float:

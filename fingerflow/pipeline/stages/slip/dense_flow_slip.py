@@ -105,11 +105,8 @@ class DenseFlowSlipStage(SlipStage):
         self._flow = SkinFlow(image, mask, quarter / self.inputs.geometry.topography_mm_per_px)
         return flow_response(self._flow.template, image, mask, self.inputs.geometry.topography_mm_per_px)
 
-    def _topography(self, frames: Array | None) -> Tensor:
-        view = self.inputs.scene.views.topography
-        assert view is not None
-        assert frames is not None
-        return images_on(self.inputs.device, view.crop(frames))
+    def _topography(self, frames: Array) -> Tensor:
+        return images_on(self.inputs.device, self.inputs.scene.views["topography"].crop(frames))
 
     def _follow(self, frame: int, image: Tensor, grid: SlipGrid, flow: SkinFlow) -> None:
         """Compute the dense optical flow from the first frame to frame `frame`, store it at the contact cells, and
@@ -151,8 +148,7 @@ class DenseFlowSlipStage(SlipStage):
     def _motion(self, frames: Any) -> Array:
         return self.results["skin_displacement"][frames]
 
-    def _measured(self, frames: Any) -> Array:
-        return self._motion(frames)
+    _measured = _motion
 
     def _point_displacement(self, motion: Array, grid: SlipGrid) -> Series:
         return np.asarray(grid.sample_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
@@ -170,9 +166,8 @@ class DenseFlowSlipStage(SlipStage):
         filled[~grid.known] = 0
         return filled
 
-    def _seen(self, motion: Array, grid: SlipGrid) -> Series:
-        positions = grid.centers + motion
-        return positions[np.isfinite(positions).all(-1)]
+    def _positions(self, grid: SlipGrid) -> Array:
+        return grid.centers
 
     def _noise_level(self, frame: int) -> float:
         return float(self._flow_deviation[frame])

@@ -1,4 +1,6 @@
-"""Define two grids on the contact: cells, and a fine grid of four times the resolution."""
+"""Interpolation of skin displacement between tracked points to two grids on the contact: cells, and a fine grid of four
+times the resolution.
+"""
 
 import math
 
@@ -6,11 +8,12 @@ import cv2
 import numpy as np
 from scipy.ndimage import convolve1d, map_coordinates, uniform_filter
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
-from fingerflow.kernels.array_types import Array, Field, Mask
+from fingerflow.kernels.array_types import Array, Field, Mask, Points
 from fingerflow.pipeline.stages.preparation.series import rate
-from fingerflow.pipeline.stages.slip.skin_surface import SkinSurface
 
+_FEWEST = 3  # least number of points for a plane
 _NEAREST = 4  # points whose mean displacement is that of the skin at the border
 _FINE = 4  # positions per cell along each axis: areas are then known to a thousandth of the contact
 
@@ -48,10 +51,8 @@ class SlipGrid:
         self.fine_mm = cell_mm / _FINE
         self.known: Mask = cKDTree(points).query(self.centers)[0] <= reach_mm
         self._surface = SkinSurface(points, self.centers[self.known])
-        at = ((points - first_cell_mm) / cell_mm + 0.5) * _FINE - 0.5
-        self._column, self._row = (
-            np.clip(np.rint(at[:, k]).astype(int), 0, _FINE * size - 1) for k, size in enumerate(shape[::-1])
-        )
+        at = np.rint(((points - first_cell_mm) / cell_mm + 0.5) * _FINE - 0.5).astype(int)
+        self._column, self._row = at.clip(0, _FINE * np.array(shape[::-1]) - 1).T
 
     def displacement(self, moved: Array) -> Field:
         """Interpolate displacements (N, 2) mm of points to cells (rows, columns, 2); 0 in cells far from all points."""
@@ -106,6 +107,56 @@ class SlipGrid:
     def sample_points(self, fine: Array) -> Array:
         """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""
         return fine[self._row, self._column]
+
+
+class SkinSurface:
+    """Thin plate spline (Duchon 1977) that interpolates displacements of tracked points at other, fixed positions.
+
+    Points and positions are those of one frame, that is, of the skin. All costly steps are done once, and a frame takes
+    a product of matrices. Points that are lost in a frame have no influence: they take the value at which they do not
+    bend the plate. A system with as many equations as lost points gives these values.
+
+    Args:
+        points: (N, 2) mm, finite and not all on a line.
+        positions: (Q, 2) mm.
+
+    Raises:
+        ValueError: the points do not span an area.
+    """
+
+    def __init__(self, points: Points, positions: Points) -> None:
+        centre = points.mean(0, keepdims=True) if len(points) else np.zeros((1, 2))
+        # Divide by the spread of the points, so that the matrices are well conditioned.
+        scale = float(np.abs(points - centre).max(initial=0)) or 1.0
+        scaled, queries = (points - centre) / scale, (positions - centre) / scale
+        plane, lying = (np.insert(places, 0, 1, axis=1) for places in (scaled, queries))
+        if np.linalg.matrix_rank(plane, 1e-9) < _FEWEST:
+            raise ValueError(f"{len(scaled)} points do not span an area: a displacement between them is not known")
+        bending = _kernel(cdist(scaled, scaled, "sqeuclidean")) + 1e-12 * np.eye(len(scaled))
+        # The coefficients of the kernels are orthogonal to planes (Wahba 1990).
+        inverse = np.linalg.inv(np.block([[bending, plane], [plane.T, np.zeros((_FEWEST, _FEWEST))]]))
+        self._bend, level = np.split(inverse[:, : len(scaled)], [len(scaled)])
+        between = _kernel(cdist(queries, scaled, "sqeuclidean"))
+        self._weights = (between @ self._bend + lying @ level).astype(np.float32)
+
+    def __call__(self, moved: Points) -> Field:
+        """Interpolate displacements (N, 2) of points, NaN where lost, at the Q fixed positions; return them as (Q, 2).
+
+        It is NaN where fewer than three points are left.
+        """
+        lost = ~np.isfinite(moved).all(-1)
+        if lost.all() or (~lost).sum() < _FEWEST:
+            return np.full((len(self._weights), moved.shape[1]), np.nan, np.float32)
+        if lost.any():
+            moved = moved.copy()
+            block = self._bend[np.ix_(lost, lost)]
+            moved[lost] = np.linalg.lstsq(block, -self._bend[np.ix_(lost, ~lost)] @ moved[~lost], rcond=1e-12)[0]
+        return self._weights @ moved.astype(np.float32)
+
+
+def _kernel(squared: Points) -> Points:
+    """Return the kernel r^2 log r of a thin plate spline, given squared distances r^2."""
+    return squared * np.log(np.maximum(squared, 1e-300)) / 2
 
 
 def growth_rates(growth: Array, times: Array, area: Array, area_std: Array, ridge_mm: float) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid, growth_rates
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.scene import Scene
@@ -89,37 +89,33 @@ class SlipStage(Stage):
     def variant(cls, scene: Scene) -> type[Stage]:
         return {subclass.displacement: subclass for subclass in cls.__subclasses__()}.get(scene.slip.displacement, cls)
 
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
+    def begin(self) -> None:
+        contact, frames = self.trial.stage(ContactStage), len(self.trial)
         self._settings = self.inputs.scene.slip
-        self._growth = np.full((2, len(trial)), np.nan)  # mm² a frame, of the leading and the trailing half
+        self._growth = np.full((2, frames), np.nan)  # mm² a frame, of the leading and the trailing half
         self._pull = np.zeros(2)  # mm, sum of all displacements, towards which the skin moves over the glass
-        self._deviation = np.full(len(trial), np.nan)  # px, as from `_noise_level`
-        self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
-        step = float(np.median(np.diff(self.inputs.times))) if len(trial) > 1 else 1.0
+        self._deviation = np.full(frames, np.nan)  # px, as from `_noise_level`
+        self._edge = np.zeros(frames, dtype=bool)  # frames whose contact reaches the edge of the view
+        step = float(np.median(np.diff(self.inputs.times))) if frames > 1 else 1.0
         self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
         # (2, 2) matrix from px of the topographic view to mm.
         self._of_px = self.inputs.geometry.topography_to_contact[:, :2] * self.inputs.mm_per_px
-
-    def begin(self) -> None:
-        contact = self.trial.stage(ContactStage)
         self._area = self.results["gross_contact_area"][:]
         shape = self.results["gross_contact_region"].shape[1:]
-        half_window = self.inputs.scene.tracking.window_px / 2 * self.inputs.geometry.topography_mm_per_px
+        self._reach = self.inputs.scene.tracking.window_px / 2 * self.inputs.geometry.topography_mm_per_px
         self._first = np.asarray(self.results["position"][slice(0, 1)])[0]
         self._known = np.isfinite(self._first).all(-1)
         self._grid: SlipGrid | None = None
         self._border: StuckBorder | None = None
-        self._reach = half_window
         self._cells = (shape[0], shape[1])
         try:
-            self._grid = SlipGrid(self._first[self._known], self._cells, **contact.cells(), reach_mm=half_window)
+            self._grid = SlipGrid(self._first[self._known], self._cells, **contact.cells(), reach_mm=self._reach)
         except ValueError as error:
             self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
         else:
             seen = self._how_seen(self._grid)
             if self._settings.criterion == "border":
-                self._border = StuckBorder(self._grid, half_window, seen, self.clear)
+                self._border = StuckBorder(self._grid, self._reach, seen, self.clear)
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
@@ -135,8 +131,8 @@ class SlipStage(Stage):
                 continue
             self._edge[frame] = cut_shares(region[None], self._area[[frame]])[0] > 0
             self._deviation[frame] = self._noise_level(frame)
-            seen = self._seen(motion[k], self._grid)
-            if len(seen):
+            seen = self._positions(self._grid) + motion[k]
+            if len(seen := seen[np.isfinite(seen).all(-1)]):
                 distance, _ = cKDTree(seen).query(self._grid.centers[region])
                 self.series["slip_coverage"][frame] = (distance <= self._reach).mean()
             if self._border is not None:
@@ -177,10 +173,9 @@ class SlipStage(Stage):
         """Return the displacement (rows, columns, 2) mm of the skin at the grid cells of the contact in one frame."""
         return grid.displacement(motion)
 
-    def _seen(self, motion: Array, grid: SlipGrid) -> Series:
-        """Return the positions (K, 2) mm, in one frame, of all points whose displacement `motion` is known."""
-        positions = grid.points + motion
-        return positions[np.isfinite(positions).all(-1)]
+    def _positions(self, grid: SlipGrid) -> Array:
+        """Return the positions (..., 2) mm in the first frame of the skin whose displacement `_motion` returns."""
+        return grid.points
 
     def _noise_level(self, frame: int) -> float:
         """Return the median over all points of the standard deviation, px, of a displacement component by image noise

@@ -58,11 +58,11 @@ class StuckBorder:
         noise: mm, standard deviation of the displacement of points that stick.
     """
 
-    def __init__(self, grid: SlipGrid, half_window_mm: float, seen: RampResponse, clear: float = 0.0) -> None:
+    def __init__(self, grid: SlipGrid, half_window_mm: float, seen: RampResponse, clear: float) -> None:
         self._grid, self._half, self._seen, self._above = grid, half_window_mm, seen, clear
         bins = round((_TO - _FROM) / 2 * _BINS_A_WINDOW)
         self._edges = np.linspace(_FROM, _TO, bins + 1) * half_window_mm
-        self._count, self._sum, self._squares = np.zeros((3, bins))
+        self._sums = np.zeros((3, bins))  # over the points in each bin: number, displacement and its square
         self._deep_count, self._deep_squares, self._deep_sum = 0, 0.0, np.zeros(2)
         self._direction = np.zeros(2)
         self.fit: BorderFit | None = None
@@ -95,8 +95,7 @@ class StuckBorder:
         to_rim = self._grid.sample_points(_distance(~contact)) * self._grid.fine_mm
         used = np.isfinite(length) & (to_rim - np.maximum(depth, 0) > _APART * self._half)
         component = moved @ direction
-        values = component[used]
-        for total, weights in ((self._count, None), (self._sum, values), (self._squares, values**2)):
+        for total, weights in zip(self._sums, (None, component[used], component[used] ** 2), strict=True):
             total += np.histogram(depth[used], self._edges, weights=weights)[0]
         deep = used & (depth > _DEEP * self._half)
         self._deep_count += int(deep.sum())
@@ -137,10 +136,10 @@ class StuckBorder:
         if self._deep_count:
             self._base = self._deep_sum / self._deep_count
             self.noise = float(np.sqrt(self._deep_squares / self._deep_count))
-        filled = self._count >= _LEAST_POINTS
-        count = self._count[filled]
-        mean = self._sum[filled] / count
-        spread = np.sqrt(np.maximum(self._squares[filled] / count - mean**2, _LEAST_SPREAD_MM**2))
+        filled = self._sums[0] >= _LEAST_POINTS
+        count, total, squares = self._sums[:, filled]
+        mean = total / count
+        spread = np.sqrt(np.maximum(squares / count - mean**2, _LEAST_SPREAD_MM**2))
         middle = ((self._edges[1:] + self._edges[:-1]) / 2)[filled]
         self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half)
         if self.fit is None:

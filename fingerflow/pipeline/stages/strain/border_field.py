@@ -98,11 +98,9 @@ class BorderFunctions:
             at_border: (n,) mm, prior standard deviation s of the displacement at the border; without it the fields
                 vanish there.
         """
-        parts = [slice(first, first + _TOGETHER) for first in range(0, len(positions), _TOGETHER)]
         free = at_border is not None
-        normal = np.concatenate(
-            [self._normal_equations(positions[part], moved[part], weight[part], free) for part in parts]
-        )
+        runs = [slice(first, first + _TOGETHER) for first in range(0, len(positions), _TOGETHER)]
+        normal = np.concatenate([self._normal_equations(positions[k], moved[k], weight[k], free) for k in runs])
         smooth, functions = len(self._mixed), normal.shape[1] - 2
         # Harmonic functions in units of s, so that the prior of their coefficients is 1.
         at_border = np.ones(1) if at_border is None else at_border

@@ -119,9 +119,8 @@ class ContactEnergy:
         likelier.
         """
         field = self._functions.fit(*points.on_disc())
-        result = FrameEnergies(
-            *self._estimate(field, points), np.zeros(len(points.axes), bool), np.ones(len(points.axes))
-        )
+        moves, trust = np.zeros(len(points.axes), bool), np.ones(len(points.axes))
+        result = FrameEnergies(*self._estimate(field, points), moves, trust)
         noise = field.noise.copy()
         prior, unresolved = _border_motion(points, since_growth, depth)
         frames = np.flatnonzero(prior > 0)
@@ -183,12 +182,9 @@ class ContactEnergy:
         functions, gradient = self._functions, self._functions.gradient[..., :number]
         # By the place in the disc, (2, P, n, 2) [direction, ..., component], then by x and y.
         slope = torch.from_numpy(np.tensordot(gradient, field.coefficients, (2, 1)))
-        onto = torch.from_numpy(
-            (points.turn / points.axes[:, :, None]).transpose(2, 1, 0)
-        )  # (2, 2, n) [x or y, direction]
-        (ux, vx), (uy, vy) = (
-            [slope[0, ..., k] * first + slope[1, ..., k] * second for k in range(2)] for first, second in onto
-        )
+        turn = (points.turn / points.axes[:, :, None]).transpose(2, 1, 0)  # (2, 2, n) [x or y, direction]
+        onto = torch.from_numpy(turn)
+        (ux, uy), (vx, vy) = (slope[0, ..., k] * onto[:, None, 0] + slope[1, ..., k] * onto[:, None, 1] for k in (0, 1))
         # du/dx by the place now; by the place at onset it is F - 1 with F = (1 - du/dx)^-1, and areas were 1 / det F.
         shrunk = (1 - ux) * (1 - vy) - uy * vx
         since = (1 - vy) / shrunk - 1, uy / shrunk, vx / shrunk, (1 - ux) / shrunk - 1

@@ -112,11 +112,8 @@ class CountedSkin:
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
         separate = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
         # Half of a position's variance is noise of its template, the same in every frame, as for all points.
-        noise = np.where(
-            frames[:, None] == self._since,
-            0,
-            (stage.tracked_variance(frames, "position_noise_px")[:, points] + self._variance) / 2,
-        )
+        noise = (stage.tracked_variance(frames, "position_noise_px")[:, points] + self._variance) / 2
+        noise = np.where(frames[:, None] == self._since, 0, noise)
         return (
             np.concatenate([moved.displacement, separate], axis=1),
             np.concatenate([moved.variance, noise.astype(np.float32)], axis=1),

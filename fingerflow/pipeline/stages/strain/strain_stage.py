@@ -16,14 +16,12 @@ from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.strain.contact_energy import GROWTH_MM, ContactEnergy, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
-from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM
-from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
@@ -39,6 +37,7 @@ _TAKEN = 0.33
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.5
+_OF_A_POINT = 6  # number of triangles that are lost with a point
 _ENERGIES = "strain_energy", "strain_energy_std", "strain_energy_between_points", "strain_energy_between_points_std"
 
 
@@ -65,14 +64,11 @@ class StrainStage(Stage):
         *("fields.gauge_length_mm", "fields.rate_window_s", "tracking.window_px", "recording.times"),
     )
 
-    def __init__(self, trial: RunContext) -> None:
-        super().__init__(trial)
+    def begin(self) -> None:
         self._settings = self.inputs.scene.fields
         self._elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         self._energy, self._energy_std, self._between, self._between_std = [self.series[name] for name in _ENERGIES]
-        self._misfit = np.zeros(len(trial), bool)
-
-    def begin(self) -> None:
+        self._misfit = np.zeros(len(self.trial), bool)
         self.warnings += plausibility.check_young_modulus(self._settings.young_modulus_mpa)
         moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
@@ -172,7 +168,8 @@ class StrainStage(Stage):
         triangles between points, and that of all skin in contact.
         """
         frames, border = batch.indices, self._border.select(batch.indices)
-        steady = self.trial.stage(DeformationStage).steady_position
+        stage = self.trial.stage(DeformationStage)
+        steady = stage.steady_position
         position, moved = steady[frames], batch.steps[DeformationStage]
         # Skin that was in contact when its points were seeded has no strain, and that of the rest is not its own.
         seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
@@ -192,16 +189,20 @@ class StrainStage(Stage):
         rim = border_energy * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
         rim = np.nan_to_num(rim)
-        displacement, variance, counts = self._onset_field(moved, frames)
-        # Where too few triangles are known for a sum, points are too few for a field.
+        # Points count where displacement is relative to the onset of contact. Where too few triangles are known for a
+        # sum, points are too few for a field.
+        counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
+        counts[:, stage.entered] = False
+        counts &= stage.by_onsets and self._begins_free
         counts &= np.isfinite(between)[:, None]
+        variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
 
         def since_growth(rows: Numbers) -> Series:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
             then = np.concatenate([steady[run] for run in np.split(grown, (np.diff(grown) > 1).nonzero()[0] + 1)])
             return position[rows] - then[number]
 
-        whole = self._whole.estimate(frames, position, displacement, variance, counts, border, since_growth)
+        whole = self._whole.estimate(frames, position, moved.displacement, variance, counts, border, since_growth)
         fitted = np.isfinite(whole.energy)
         # The field resolves strain that rises towards the border, triangles do not: what they lack in all.
         lacking = whole.energy[fitted] - (between + rim)[fitted]
@@ -213,19 +214,6 @@ class StrainStage(Stage):
         self._energy_std[frames[fitted]] = np.hypot(whole.deviation[fitted], by_border)
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
         self._between_std[frames[fitted]] = np.hypot(deviation[fitted], np.where(lacking < 0, 1.0, _INSIDE) * lacking)
-
-    def _onset_field(self, moved: Displacement, frames: Numbers) -> tuple[Series, Array, Mask]:
-        """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
-        arguments for `ContactEnergy.estimate`.
-
-        The mask is False for all points if displacements are not relative to the onset of contact.
-        """
-        stage = self.trial.stage(DeformationStage)
-        counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
-        counts[:, stage.entered] = False
-        counts &= stage.by_onsets and self._begins_free
-        variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
-        return moved.displacement, variance, counts
 
     def _rim_area(self, position: Series, touching: Mask, border: FrameEllipse) -> Series:
         """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
@@ -270,6 +258,42 @@ class StrainStage(Stage):
         by_noise = self._rate(np.where(np.isfinite(strain), noise, np.nan), of_std=True)
         self.results.put("strain_rate", self._rate(strain))
         self.results.put("strain_rate_std", np.hypot(by_noise, self._rate(deviation)))
+
+
+class MissingEnergy:
+    """Estimator of the error of the strain energy that triangles with unknown strain cause.
+
+    Frames must be added in order of time.
+
+    Unknown triangles count with the mean density of the others (`ops.fields.triangle_strain`), but their last known
+    density was different, and has changed since. The error has two parts: the difference of both energies, and the
+    spread of the density over the known triangles times the area of the lost ones. The triangles of a lost point, some
+    six, are all wrong in the same way: their areas add up, those of different points by their squares.
+    """
+
+    def __init__(self, areas: Array) -> None:
+        """Store the areas (M,) mm^2 of the triangles in the reference configuration."""
+        self._area = areas
+        self._last = np.zeros(len(areas))  # last known energy per depth of each triangle
+
+    def add_frames(self, density: Array, in_contact: Mask) -> Series:
+        """Return the errors (n,) mJ/mm of the strain energy in the next n frames due to triangles in contact of unknown
+        strain, from energy densities (n, M) mJ/mm^3 and the mask `in_contact` (n, M).
+
+        Densities are NaN where they are unknown.
+        """
+        energies, known = np.concatenate((self._last[None], density * self._area)), np.isfinite(density)
+        # Row of `energies` in which the energy of each triangle was known last.
+        when = np.where(np.isfinite(energies), np.arange(len(energies))[:, None], 0)
+        last = np.take_along_axis(energies, np.maximum.accumulate(when), axis=0)
+        self._last = last[-1]
+        seen, lost = self._area * (in_contact & known), self._area * (in_contact & ~known)
+        with np.errstate(invalid="ignore"):  # where no triangle is known
+            share = seen / seen.sum(1, keepdims=True)
+        mean = (share * np.where(known, density, 0)).sum(1, keepdims=True)
+        spread = (share * np.where(known, density - mean, 0) ** 2).sum(1)
+        change = np.where(lost > 0, last[1:] - mean * lost, 0).sum(1)
+        return np.nan_to_num(np.sqrt(change**2 + _OF_A_POINT * spread * (lost**2).sum(1)))
 
 
 def border_density(density: Array, areas: Array, positions: Array, border: FrameEllipse, reach_mm: float) -> Series:

@@ -20,8 +20,7 @@ from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
-from fingerflow.pipeline.stages.preparation.regions import region_mask
+from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames, region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, on_topography
 from fingerflow.results.free_space import size_of_results
@@ -63,9 +62,7 @@ class TrackingStage(Stage):
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
-        inputs, view = self.inputs, self.inputs.scene.views.topography
-        assert view is not None
-        self._view = view
+        inputs, self._view = self.inputs, self.inputs.scene.views["topography"]
         self._settings = inputs.scene.tracking
         self._engine = inputs.engine
         self._to_contact = inputs.geometry.topography_to_contact
