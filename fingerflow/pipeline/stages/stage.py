@@ -8,9 +8,9 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Images
+from fingerflow.kernels.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
 from fingerflow.schema.scene import Scene
@@ -32,7 +32,7 @@ class Batch:
         steps: what the method `step` of each earlier stage of this pass returned.
     """
 
-    indices: NDArray[np.intp]
+    indices: Numbers
     frames: Any = None
     steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
@@ -125,11 +125,11 @@ class Stage:
         return self.inputs.scene.recording.first_frame
 
     @cached_property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> Mask:
         """Return the mask (frames,) of the frames that count, once they are checked."""
         return self.results["frame_status"][:] == USABLE
 
-    def known(self, name: str) -> NDArray[Any] | None:
+    def known(self, name: str) -> Array | None:
         """Return the values of a result of an earlier stage; None where this trial has none."""
         return self.results[name][:] if name in self.results else None
 

@@ -6,7 +6,6 @@ import math
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.engines.engine import FrameEllipse
@@ -260,13 +259,13 @@ class DeformationStage(Stage):
         of_frames = self._median[:, 0], self.series["field_coverage"], self.results["gross_contact_area"][:]
         self.warnings.extend(plausibility.check_fields(*of_frames, self._settings.gauge_length_mm, self.first_frame))
 
-    def tracked_variance(self, indices: Numbers, name: str) -> NDArray[np.float32]:
+    def tracked_variance(self, indices: Numbers, name: str) -> Array:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
         is the result variable of the standard deviation.
         """
         return (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
 
-    def _tracked(self, frames: Numbers) -> tuple[Points, NDArray[np.float32]]:
+    def _tracked(self, frames: Numbers) -> tuple[Points, Array]:
         """Return the positions (n, N, 2) mm in n frames without the vibration, and their variances (n, N) mm^2."""
         return self.steady_position[frames], self.tracked_variance(frames, "position_std_px")
 
@@ -310,7 +309,7 @@ class DeformationStage(Stage):
                 f"fields.reference, frame {self.attributes['reference_frame']}: their displacement is NaN"
             )
 
-    def _since_touch(self, touch: Touches, skin: SkinFrames) -> tuple[Points, NDArray[np.float32]]:
+    def _since_touch(self, touch: Touches, skin: SkinFrames) -> tuple[Points, Array]:
         """Return the displacements (n, N, 2) mm of N points since each came into contact, and their variances (n, N)
         mm^2 by image noise, in n frames; `touch` holds the onset of each point and is updated.
         """
@@ -354,7 +353,7 @@ class DeformationStage(Stage):
         result = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
         return np.nan_to_num(result)
 
-    def _select_positions(self, frames: NDArray[np.integer]) -> tuple[Points, Points]:
+    def _select_positions(self, frames: Numbers) -> tuple[Points, Points]:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
         it, and their deviations (..., N) by image noise, mm.
         """
@@ -432,7 +431,7 @@ def _runs(frames: int) -> list[Numbers]:
     return [np.arange(first, min(first + FRAMES_READ, frames)) for first in range(0, frames, FRAMES_READ)]
 
 
-def select_frames(values: Any, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> Points:
+def select_frames(values: Any, frames: Numbers, points: Numbers | None = None) -> Points:
     """Return the values (..., P, ...) of P points, each taken from `values` (F, N, ...) in the frame that `frames`
     (..., P) gives for it; `points` are the indices of the points, by default all.
     """

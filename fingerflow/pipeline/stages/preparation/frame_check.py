@@ -1,9 +1,9 @@
 """Detection of unusable frames: dark, saturated, repeated, torn, unreadable or noise."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.array_types import Array, Numbers
 from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.schema.variables import FRAME_CHECK, JUMPS, NOT_FINITE, REPEATED, UNREADABLE, USABLE
 from fingerflow.tracker import frame_copies
@@ -40,7 +40,7 @@ class FrameCheckStage(Stage):
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(self.trial), np.uint8)
         self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
-        self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
+        self._distances: list[list[Array]] = [[] for _ in self._views]
         self._keys: list[frame_copies.FrameKey] = []
         depth = self.inputs.recording.bit_depth
         self._alone = PictureCheck(*self.inputs.glass(views.contact), np.inf if depth is None else 2**depth - 1.5)
@@ -108,6 +108,6 @@ class FrameCheckStage(Stage):
             )
 
 
-def _listed(numbers: NDArray[np.integer]) -> str:
+def _listed(numbers: Numbers) -> str:
     first = ", ".join(str(number) for number in numbers[:10])
     return first if len(numbers) <= 10 else f"{first} ... ({len(numbers)} frames)"

@@ -9,14 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.engines.choice import ENGINES, engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
-from fingerflow.kernels.array_types import Array, Mask, Picture, Series
+from fingerflow.kernels.array_types import Array, Mask, Numbers, Picture, Series
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.drawn_region import drawn_mask
 from fingerflow.recordings.lens import Geometry
@@ -255,7 +254,7 @@ def requested_frame(scene: Scene, times: Series) -> int | None:
 
 
 def resolve_reference(
-    scene: Scene, times: Series, status: NDArray[np.integer], warnings: list[str]
+    scene: Scene, times: Series, status: Numbers, warnings: list[str]
 ) -> tuple[int | None, dict[str, str | int]]:
     """Return the frame from which displacement counts, from 0 at the first selected frame, or None for each point's own
     onset; and the attributes that say so of a result variable, with the number of the frame in the file.

@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fingerflow.kernels.array_types import Mask, Series
+from fingerflow.kernels.array_types import Array, Mask, Series
 from fingerflow.kernels.field_limits import LEAST_SHARE
 
 _FEW_RIDGES_MM2 = 1.0
@@ -65,7 +64,7 @@ def check_views(mirroring: str, offset_px: float, mm_per_px: float) -> Iterator[
         )
 
 
-def check_clipped(view: str, counts: NDArray[np.number]) -> Iterator[str]:
+def check_clipped(view: str, counts: Array) -> Iterator[str]:
     """Yield a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
     level = int(counts.max())
     share = (counts == level).mean()

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from fingerflow.kernels.array_types import Mask, Picture
+from fingerflow.kernels.array_types import Array, Mask, Picture
 
 _SIDE_PX = 256  # longest side of the analysed patch of skin: a ridge then has some 10 px
 _MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are due to light and pressure
@@ -32,7 +31,7 @@ class SkinPatch(NamedTuple):
     scale: float
 
 
-def skin_patch(contact: NDArray[np.number], light: NDArray[np.floating], inside: Mask) -> SkinPatch | None:
+def skin_patch(contact: Array, light: Picture, inside: Mask) -> SkinPatch | None:
     """Return the patch of skin within the mask `inside` (h, w) of a contact view; None if the patch is too small.
 
     Single pixels, hot or dead, are removed by a median.
@@ -66,9 +65,7 @@ def period_px(skin: SkinPatch) -> float:
     return float(band.sum() / (band @ at) / skin.scale)
 
 
-def compare_views(
-    skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]
-) -> tuple[str, float]:
+def compare_views(skin: SkinPatch, topography: Array, topography_to_contact: Array) -> tuple[str, float]:
     """Return how the topography view must be turned over to show the ridges of the contact view, "left to right", "top
     to bottom" or "both ways", "" if it shows them as it is or neither does; and the distance, px of the contact view,
     between its ridges, mapped by the calibration, and those of the contact view, 0 if small or unknown.
@@ -88,9 +85,7 @@ def compare_views(
     return "", float(np.hypot(down - reach, across - reach)) / skin.scale
 
 
-def _correlation(
-    skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]
-) -> tuple[Picture, int]:
+def _correlation(skin: SkinPatch, topography: Array, topography_to_contact: Array) -> tuple[Picture, int]:
     """Return the size of the correlation of the ridges in both views for shifts of up to `reach` px of the patch along
     y and x, and `reach`.
 

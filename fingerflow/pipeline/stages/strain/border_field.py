@@ -21,10 +21,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.polynomial.polynomial import polyvander
-from numpy.typing import NDArray
 from scipy.special import comb
 
-from fingerflow.kernels.array_types import Array
+from fingerflow.kernels.array_types import Array, Numbers
 
 _DEGREE = 8  # degree of the polynomials P_k
 _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this power of its degree
@@ -81,7 +80,10 @@ class BorderFunctions:
         by_x = i * x_powers[:, np.maximum(i - 1, 0)] * y_powers[:, j]
         by_y = j * x_powers[:, i] * y_powers[:, np.maximum(j - 1, 0)]
         slopes = np.stack((inside * by_x - 2 * x.T * each, inside * by_y - 2 * y.T * each))
-        self._harmonics = _harmonics(i, j)
+        # The harmonic polynomials, real and imaginary parts of (x + iy)^m over 1 + m, in the monomials x^i y^j.
+        orders, (degree, of_y) = np.arange(_HARMONICS + 1), np.stack((i + j, j))[..., None]
+        powers = np.where(degree == orders, comb(orders, of_y) * 1j**of_y, 0) / (1 + orders)
+        self._harmonics = np.delete(powers.view(np.float64), 1, axis=1)  # order 0 has no imaginary part
         self.gradient = np.concatenate((slopes @ self._mixed, np.stack((by_x, by_y)) @ self._harmonics), axis=2)
         self.squares = (self.gradient * self.weights[:, None]).mT @ self.gradient
 
@@ -144,18 +146,7 @@ class BorderFunctions:
         return result
 
 
-def _harmonics(i: NDArray[np.integer], j: NDArray[np.integer]) -> Array:
-    """Return the coefficients (K, 2 m + 1) of the harmonic polynomials in the monomials x^i y^j, each divided by 1 + m:
-    the real and imaginary parts of (x + iy)^m.
-    """
-    columns = [(i + j == 0).astype(np.float64)]
-    for order in range(1, _HARMONICS + 1):
-        power = np.where(i + j == order, comb(order, j) * 1j**j, 0) / (1 + order)
-        columns += [power.real, power.imag]
-    return np.stack(columns, axis=1)
-
-
-def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tuple[Array, Array]:
+def _find_scales(normal: Array, numbers: Numbers, smooth: int) -> tuple[Array, Array]:
     """Choose the prior standard deviation t of the first `smooth` coefficients in each of n fits by maximum likelihood,
     add 1 / t^2 (and 1 for the other coefficients) to the normal equations in place, and return the noise variance (n,)
     relative to the stated one and twice the log-likelihood (n,), up to a constant.

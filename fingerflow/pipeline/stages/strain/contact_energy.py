@@ -103,10 +103,14 @@ class ContactEnergy:
         outer, inner = ((counts & (depth >= low) & (depth < low + _OUTER_MM)).any(1) for low in (0.0, _OUTER_MM))
         frames = np.flatnonzero(outer & inner)
         if len(frames):
-            here = np.flatnonzero(counts[frames].any(0))
+            here, border = np.flatnonzero(counts[frames].any(0)), border.select(frames)
             at = np.ix_(frames, here)
-            given = position[at], displacement[at], of_point[at], counts[at]
-            points = _Points.gather(number[frames], *given, border.select(frames))
+            cosine, sine = np.cos(border.angle), np.sin(border.angle)
+            turn = np.stack((cosine, sine, -sine, cosine), axis=-1).reshape(-1, 2, 2)
+            vectors = position[at] - border.center[:, None], displacement[at]
+            from_centre, moved = (np.where(counts[at][..., None], part, 0.0).mT.copy() for part in vectors)
+            weight = np.where(counts[at], 1 / np.where(counts[at], of_point[at], 1), 0.0)
+            points = _Points(number[frames], turn @ from_centre, moved, weight, border.semi_axes, turn)
             energies = self._energies(points, since(frames)[:, here], depth[at])
             for values, of_some in zip(result, energies, strict=True):
                 values[frames] = of_some
@@ -212,22 +216,6 @@ class _Points(NamedTuple):
     axes: Array  # (n, 2) mm, semi-axes
     turn: Array  # (n, 2, 2), from x and y to the axes
 
-    @classmethod
-    def gather(
-        cls, number: Numbers, position: Array, displacement: Array, variance: Array, counts: Mask, border: FrameEllipse
-    ) -> "_Points":
-        """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
-        `ContactEnergy.estimate`.
-        """
-        cosine, sine = np.cos(border.angle), np.sin(border.angle)
-        turn = np.stack((cosine, sine, -sine, cosine), axis=-1).reshape(-1, 2, 2)
-        from_centre, moved = (
-            np.ascontiguousarray(np.where(counts[..., None], vectors, 0.0).mT)
-            for vectors in (position - border.center[:, None], displacement)
-        )
-        weight = np.where(counts, 1 / np.where(counts, variance, 1), 0.0)
-        return cls(number, turn @ from_centre, moved, weight, border.semi_axes, turn)
-
     def select(self, frames: Numbers | slice) -> "_Points":
         return _Points(*(values[frames] for values in self))
 
@@ -250,10 +238,8 @@ def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tupl
     """
     outer = (points.weight > 0) & (depth < _OUTER_MM) & np.isfinite(since_growth).all(-1)
     number = outer.sum(1).clip(1)
-    square, since_onset = (
-        np.where(outer, (moved**2).mean(axis), 0).sum(1) / number
-        for moved, axis in ((since_growth, 2), (points.moved, 1))
-    )
+    both = since_growth, points.moved.mT
+    square, since_onset = (np.where(outer, (moved**2).mean(2), 0).sum(1) / number for moved in both)
     unresolved = outer.any(1) & (square == 0)
     lags = square > _LAG**2 * since_onset
     return np.sqrt(np.where(unresolved, since_onset, np.where(lags, square, 0))), unresolved

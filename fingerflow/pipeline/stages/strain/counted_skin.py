@@ -1,10 +1,9 @@
 """Selection of the triangles on which strain is computed, with reference position and frame of each corner."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from fingerflow.kernels.array_types import Mask, Numbers, Points
+from fingerflow.kernels.array_types import Array, Mask, Numbers, Points
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, select_frames
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT
@@ -48,7 +47,7 @@ class CountedSkin:
         skins = [(np.ones(len(onset), bool), frames)]
         if not stage.trial.stage(TrackingStage).backward:
             skins = _skins(results["status"], stage.seeded)
-        both: list[list[NDArray[np.int32]]] = []
+        both: list[list[Array]] = []
         for points, _ in skins:
             plain, separate = triangulate(np.where(points[:, None], reference, np.nan)), self._advected(points)
             if stage.by_onsets:
@@ -76,15 +75,13 @@ class CountedSkin:
         shape = np.stack((1 + along, across, across, 1 - along), axis=1).reshape(-1, 2, 2)
         self.shape = np.concatenate([shape, shape[self._points]])
 
-    def _advected(self, points: Mask) -> NDArray[np.int32]:
+    def _advected(self, points: Mask) -> Array:
         """Return the triangles (M, 3) of touching `points` (N,) with a corner that was advected into the contact."""
         stage = self._stage
         triangles = triangulate(np.where((points & (stage.onset >= 0))[:, None], stage.common_position, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
-    def _distorted_by_onsets(
-        self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
-    ) -> Mask:
+    def _distorted_by_onsets(self, triangles: Array, begins: Numbers, reference: Points) -> Mask:
         """Return the mask (M,) of triangles whose reference shape is distorted because each corner counts from its own
         onset of contact, so that the corners never formed this shape in one frame.
 
@@ -104,7 +101,7 @@ class CountedSkin:
         result[touched[regular]] |= (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
-    def moved(self, moved: Displacement, frames: Numbers) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
+    def moved(self, moved: Displacement, frames: Numbers) -> tuple[Points, Array, Array]:
         """Return displacements (n, P, 2) mm, and variances (n, P) mm^2 by image noise and by curvature, in n frames of
         the tracked points, followed by copies of points that are corners of triangles with another reference frame.
         """
@@ -141,7 +138,7 @@ def _skins(status: Values, seeded: Numbers) -> list[tuple[Mask, int]]:
     return [*result, (present, status.shape[0])]
 
 
-def triangulate(positions: Points) -> NDArray[np.int32]:
+def triangulate(positions: Points) -> Array:
     """Return Delaunay triangles (M, 3) of all points with finite positions; none if the points span no area."""
     finite = np.flatnonzero(np.isfinite(positions).all(-1)).astype(np.int32)
     try:

@@ -8,7 +8,6 @@ of its largest contact, has no new skin.
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.kernels.array_types import Array, Mask, Numbers, Points
@@ -28,7 +27,7 @@ class NewSkin:
         window_px: window of a point in the topographic view: the point covers skin within half of it.
     """
 
-    def __init__(self, topography_to_contact: NDArray[np.float64], cell_px: int, window_px: int) -> None:
+    def __init__(self, topography_to_contact: Array, cell_px: int, window_px: int) -> None:
         self._matrix, self._cell, self._window = topography_to_contact, cell_px, window_px
         self._inverse = cv2.invertAffineTransform(topography_to_contact)
         self._per_px = float(np.sqrt(abs(np.linalg.det(topography_to_contact[:, :2]))))  # contact px per topographic px
@@ -46,9 +45,7 @@ class NewSkin:
         if touching.any():
             self._before = self._on_contact(positions), self._middle(touching)
 
-    def region(
-        self, contact: Array, pixels: Points, moved: Points, tracked: Mask, seeding: NDArray[np.integer]
-    ) -> Mask | None:
+    def region(self, contact: Array, pixels: Points, moved: Points, tracked: Mask, seeding: Numbers) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
         Where hardly a point is left, as after a finger has been lifted and touches elsewhere, all skin in contact is
@@ -129,7 +126,7 @@ class NewSkin:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
         return _look_up(touching, row, column)
 
-    def _is_new(self, at: Array, moved: Points, seeding: NDArray[np.integer]) -> Mask:
+    def _is_new(self, at: Array, moved: Points, seeding: Numbers) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
         which the nearest point was seeded, at the time of that seeding.
 
@@ -166,13 +163,13 @@ def distances(points: Array, shape: tuple[int, ...]) -> tuple[Array, Numbers]:
     return np.asarray(distance, np.float32), point[labels]
 
 
-def _look_up(mask: Mask, *numbers: NDArray[np.integer]) -> Mask:
+def _look_up(mask: Mask, *numbers: Numbers) -> Mask:
     """Return the values (K,) of a mask at indices (K,) along each of its axes; False outside the mask."""
     inside = np.all([(index >= 0) & (index < side) for index, side in zip(numbers, mask.shape, strict=True)], axis=0)
     return inside & mask[tuple(np.where(inside, index, 0) for index in numbers)]
 
 
-def on_topography(region: Mask, topography_to_contact: NDArray[np.float64], shape: tuple[int, ...]) -> Mask:
+def on_topography(region: Mask, topography_to_contact: Array, shape: tuple[int, ...]) -> Mask:
     """Return a mask of the contact view as a mask of the topographic view, whose shape is given."""
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(region.astype(np.uint8), topography_to_contact, shape[::-1], flags=flags) > 0

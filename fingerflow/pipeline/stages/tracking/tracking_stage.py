@@ -352,14 +352,12 @@ def _shifted(mask: Mask, way: Array) -> Mask:
 
 
 def _extend_to_batch(frames: int, seeded: TrackedPoints) -> TrackedPoints:
-    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames.
-
-    Results in all of its frames are returned as they are.
+    """Extend results (n, N) of points seeded in one of the `frames` frames of a batch to the whole batch; NaN in
+    earlier frames.
     """
-    if len(seeded.status) == frames:
-        return seeded
-    before = TrackedPoints(*(np.repeat(values, frames, axis=0) for values in seeded))
-    for values in before[:3]:
-        values[:-1] = np.nan
-    before.status[:-1] = TrackStatus.NOT_SEEDED_YET
-    return before
+    missing = frames - len(seeded.status)
+    whole = select(seeded, np.maximum(np.arange(frames) - missing, 0))
+    for values in whole[:3]:
+        values[:missing] = np.nan
+    whole.status[:missing] = TrackStatus.NOT_SEEDED_YET
+    return whole
