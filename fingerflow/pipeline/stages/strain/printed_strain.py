@@ -29,9 +29,8 @@ class PrintedStrainStage(Stage):
 
     def begin(self) -> None:
         self._moved = self.trial.stage(DeformationStage)
-        touches = self.results["gross_contact_area"][:] > 0
-        reference = self._moved.steady_position[np.flatnonzero(touches)[:1]].reshape(-1, len(self._moved.onset), 2)
-        reference = np.where(self._moved.onset[:, None] >= 0, reference[:1].sum(0), np.nan)
+        first = np.flatnonzero(self.results["gross_contact_area"][:] > 0)[:1]
+        reference = np.where(self._moved.onset[:, None] >= 0, self._moved.steady_position[first].sum(0), np.nan)
         self._triangles = triangulate(reference)
         self._corners, self._reference = torch.from_numpy(self._triangles).long(), torch.from_numpy(reference)[None]
         self._areas = triangle_areas(self._reference, self._corners)[0].numpy()
