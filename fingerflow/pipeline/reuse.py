@@ -115,13 +115,9 @@ def _reason_to_compute(
     if record["digest"] == key["digest"]:
         return ""
     then: Mapping[str, Any] = record["settings"]
-    changed = [
-        f"{name} was {then.get(name)!s:.60} and is {value!s:.60}"
-        for name, value in key["settings"].items()
-        if then.get(name) != value
-    ]
+    changed = {name: value for name, value in key["settings"].items() if then.get(name) != value}
     if changed:
-        return ", ".join(changed)
+        return ", ".join(f"{name} was {then.get(name)!s:.60} and is {value!s:.60}" for name, value in changed.items())
     before = [earlier.name for earlier in (*stage.after, *stage.same_pass) if earlier.name in computed]
     version = "it was computed by another version of the code, by another engine, or from other frames"
     return f"it depends on {', '.join(before)}" if before else version

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import xarray as xr
@@ -53,9 +53,7 @@ class RunContext:
 
     def stage(self, stage_class: type[S]) -> S:
         """Return the instance of a stage class in this run."""
-        stage = self.stages[stage_class]
-        assert isinstance(stage, stage_class)
-        return stage
+        return cast(S, self.stages[stage_class])
 
     def stores(self, variable: Variable) -> bool:
         """Return whether this run stores a variable of a planned stage: an optional one only where it is asked for."""

@@ -214,10 +214,8 @@ class ContactStage(Stage):
                 if contact.real_contact_mask is not None:
                     self.warnings += view_faults.check_sweat(contact.real_contact_mask[0, 0], self._period_px)
         usable = np.flatnonzero(self.usable)
-        pictures = (
-            (frame + self.first_frame, self._counts(frame)[0] - self._black)
-            for frame in dict.fromkeys((usable[0], self.reference_frame, usable[-1]))
-        )
+        frames = dict.fromkeys((usable[0], self.reference_frame, usable[-1]))
+        pictures = ((number + self.first_frame, self._counts(number)[0] - self._black) for number in frames)
         self.warnings += view_faults.check_moved_glass(pictures, light, away)
 
     def _check_rim(self, counts: Array, contact: FrameContact) -> Iterable[str]:

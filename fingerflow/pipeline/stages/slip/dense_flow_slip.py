@@ -60,9 +60,7 @@ class DenseFlowSlipStage(SlipStage):
         self._flow_deviation, self._apart = np.full((2, len(self.trial)), np.nan)
         self._lost: list[int] = []
         super().begin()
-        rows, columns = self._cells
-        where = self.trial.stage(ContactStage).cells()
-        self.results.create("skin_displacement", where, cell_row=rows, cell_column=columns)
+        self.results.create("skin_displacement", self.trial.stage(ContactStage).cells())
 
     def step(self, batch: Batch) -> None:
         """Compute the dense flow of a batch of frames, then process the batch as `SlipStage` does."""

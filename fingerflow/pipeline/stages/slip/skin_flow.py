@@ -202,10 +202,11 @@ def _blur(
     picture = image[0, 0].cpu().numpy().astype(np.float32)
     height, width = picture.shape
     pixel = [part.astype(np.float32) for part in np.meshgrid(np.arange(width), np.arange(height))]
-    x, y = pixel  # position at which the skin of a pixel was: position + length(position) = pixel
+    position = [*pixel]  # at which the skin of a pixel was: position + length(position) = pixel
     for _ in range(_ROUNDS):
-        gone = np.asarray(cv2.remap(length, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-        x, y = (pixel[0] - gone, y) if axis == 0 else (x, pixel[1] - gone)
+        gone = cv2.remap(length, position[0], position[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        position[axis] = np.asarray(pixel[axis] - gone)
+    x, y = position
     moved = np.asarray(cv2.remap(picture, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE))
     start = np.zeros((1, 2, height, width), np.float32)
     start[0, axis] = length

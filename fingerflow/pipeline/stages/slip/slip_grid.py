@@ -43,7 +43,7 @@ class SlipGrid:
     """
 
     def __init__(
-        self, points: Array, shape: tuple[int, int], cell_mm: float, first_cell_mm: float, reach_mm: float
+        self, points: Array, shape: tuple[int, ...], cell_mm: float, first_cell_mm: float, reach_mm: float
     ) -> None:
         y, x = (np.arange(size) * cell_mm + first_cell_mm for size in shape)
         self.centers = np.stack(np.meshgrid(x, y), axis=-1)

@@ -107,9 +107,8 @@ class SlipStage(Stage):
         self._known = np.isfinite(self._first).all(-1)
         self._grid: SlipGrid | None = None
         self._border: StuckBorder | None = None
-        self._cells = (shape[0], shape[1])
         try:
-            self._grid = SlipGrid(self._first[self._known], self._cells, **contact.cells(), reach_mm=self._reach)
+            self._grid = SlipGrid(self._first[self._known], shape, **contact.cells(), reach_mm=self._reach)
         except ValueError as error:
             self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
         else:
@@ -227,7 +226,7 @@ class SlipStage(Stage):
         """Find the stick region in frames `first` to `end` - 1."""
         start, stop = max(0, first - max(self._beside, 1)), min(len(self.trial), end + self._beside)
         motion = self._motion(slice(start, stop))
-        measured = self._measured(slice(start, stop)) if criterion is self._border else None
+        measured = self._measured(slice(start, stop)) if criterion is self._border else motion
         regions = self.results["gross_contact_region"][slice(start, stop)] > 0
         printed = Length(grid, self._settings.stuck_mm, relative=False)
         stuck = np.zeros((end - first, *regions.shape[1:]), dtype=bool)
@@ -242,10 +241,7 @@ class SlipStage(Stage):
             moved, displacement = self._points_and_cells(_settled(motion[around]), grid)
             if not np.isfinite(displacement[grid.known]).all():
                 continue
-            shown = (moved, displacement)
-            if measured is not None:
-                shown = self._points_and_cells(_settled(measured[around]), grid)
-            fine = _largest(criterion.stuck(*shown, region))
+            fine = _largest(criterion.stuck(*self._points_and_cells(_settled(measured[around]), grid), region))
             self.series["stuck_ratio"][frame] = grid.share(fine, region)
             by_length = _largest(printed.stuck(moved, displacement, region))
             self.series["printed_stuck_ratio"][frame] = grid.share(by_length, region)
