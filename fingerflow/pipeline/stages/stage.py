@@ -81,7 +81,9 @@ class Stage:
         reads_frames: True if `step` reads pictures.
         settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
+        backward: whether the frames are processed from the last one to the first one.
         restored: False if later stages need more of it than `restore` brings back from an earlier result.
+        first_frame: number in the file of the first selected frame.
         warnings: messages to the user; of the instance.
         series: values (frames, ...) by name of the variables that have a few numbers a frame, NaN until they are set;
             `derive` stores them, with the attributes in `about`.
@@ -96,11 +98,13 @@ class Stage:
     reads_frames: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()
     restored: ClassVar[bool] = True
+    backward = False
 
     def __init__(self, trial: RunContext) -> None:
         self.trial = trial
         self.warnings: list[str] = []
         self.inputs = trial.inputs
+        self.first_frame = trial.inputs.scene.recording.first_frame
         self.results = trial.results
         self.about: dict[str, Mapping[str, Any]] = {}
         self.series = {
@@ -117,11 +121,6 @@ class Stage:
         """
         return cls
 
-    @property
-    def first_frame(self) -> int:
-        """Return the number in the file of the first selected frame."""
-        return self.inputs.scene.recording.first_frame
-
     @cached_property
     def usable(self) -> Mask:
         """Return the mask (frames,) of the frames that count, once they are checked."""
@@ -130,11 +129,6 @@ class Stage:
     def known(self, name: str) -> Array | None:
         """Return the values of a result of an earlier stage; None where this trial has none."""
         return self.results[name][:] if name in self.results else None
-
-    @property
-    def backward(self) -> bool:
-        """Return whether the frames are processed from the last one to the first one."""
-        return False
 
     def begin(self) -> None:
         """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""

@@ -50,8 +50,7 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> Iterato
     unusable frames.
     """
     major, minor = semi_axes.T
-    with np.errstate(invalid="ignore"):
-        frames = np.flatnonzero((gross > 0) & (2 * major > _STRIP_MM) & (major > _STRIP * minor))
+    frames = np.flatnonzero((gross > 0) & (2 * major > _STRIP_MM) & (major > _STRIP * minor))
     if len(frames):
         frame = frames[0]
         yield (

@@ -23,7 +23,12 @@ def rate(values: Series, times: Series, window_s: float, of_std: bool = False) -
         finite = np.isfinite(flat[:, column]).astype(np.int8)
         for start, end in np.flatnonzero(np.diff(np.concatenate(([0], finite, [0])))).reshape(-1, 2):
             if end - start >= length:
-                result[start:end, column] = _filtered(flat[start:end, column] ** power, weights) ** (1 / power) / step
+                # This is `scipy.signal.savgol_filter(run, length, 2, deriv=1)`, whose import takes half a second: the
+                # middle row of the weights for whole windows, the others for the values near both ends.
+                run, half = flat[start:end, column] ** power, length // 2
+                middle = np.correlate(run, weights[half], mode="valid")
+                slopes = weights[:half] @ run[:length], middle, weights[half + 1 :] @ run[-length:]
+                result[start:end, column] = np.concatenate(slopes) ** (1 / power) / step
     return result.reshape(values.shape)
 
 
@@ -32,15 +37,3 @@ def _slope_weights(half: int) -> Series:
     at = np.arange(-half, half + 1.0)
     bend = at**2 - (at**2).mean()  # orthogonal to the line and to the constant
     return at / (at**2).sum() + 2 * np.outer(at, bend) / (bend**2).sum()
-
-
-def _filtered(values: Series, weights: Series) -> Series:
-    """Return the sums (n,) of n values over a moving window of L samples, each with a row of the weights (L, L): the
-    middle row for whole windows, the others for the values near both ends.
-
-    With the weights of slopes it is `scipy.signal.savgol_filter(values, L, 2, deriv=1)`, whose import takes half a
-    second.
-    """
-    length, half = len(weights), len(weights) // 2
-    middle = np.correlate(values, weights[half], mode="valid")
-    return np.concatenate((weights[:half] @ values[:length], middle, weights[half + 1 :] @ values[-length:]))

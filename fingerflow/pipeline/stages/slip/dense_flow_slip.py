@@ -48,7 +48,6 @@ class DenseFlowSlipStage(SlipStage):
     """
 
     name = "dense_flow_slip"
-    displacement = "dense_flow"
     reads = ("gross_contact_region", "gross_contact_area_std")
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")

@@ -82,12 +82,11 @@ class SlipStage(Stage):
     # then moved inside is no better: where slip begins as x^2 and the level at the border equals the noise, it gave a
     # d^2 that was too large by 0.025 on rendered trials.
     clear = 0.0
-    #: Value of [slip] displacement that selects this class.
-    displacement: ClassVar[str] = "points"
 
     @classmethod
     def variant(cls, scene: Scene) -> type[Stage]:
-        return {subclass.displacement: subclass for subclass in cls.__subclasses__()}.get(scene.slip.displacement, cls)
+        variants = {subclass.name: subclass for subclass in cls.__subclasses__()}
+        return variants.get(f"{scene.slip.displacement}_slip", cls)
 
     def begin(self) -> None:
         contact, frames = self.trial.stage(ContactStage), len(self.trial)

@@ -23,8 +23,6 @@ from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
 
-Motion = Callable[[Numbers], Array]  # of points, in frames with these numbers
-
 # Half of the standard deviation of the mean radius of a border from `steady_border`, measured on presses: where a
 # border is too far out, onsets are as early, so that displacements vanish there, too.
 _RADIUS_MM = 0.006
@@ -77,7 +75,7 @@ class ContactEnergy:
 
     def estimate(
         self, number: Numbers, position: Array, displacement: Array, variance: Array, counts: Mask,
-        border: FrameEllipse, since: Motion,
+        border: FrameEllipse, since: Callable[[Numbers], Array],
     ) -> FrameEnergies:  # fmt: skip
         """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where no point
         lies near the contact border, and where no smooth field explains the displacements.

@@ -64,6 +64,7 @@ class TrackingStage(Stage):
         super().__init__(trial)
         inputs, self._view = self.inputs, self.inputs.scene.views["topography"]
         self._settings = inputs.scene.tracking
+        self.backward = self._settings.direction == "backward"
         self._engine = inputs.engine
         self._to_contact = inputs.geometry.topography_to_contact
         self._matrix = self._to_contact.astype(np.float32)
@@ -75,10 +76,6 @@ class TrackingStage(Stage):
         self._full = False  # True if no more points may be seeded
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
         self._held = np.full(len(trial), np.nan)
-
-    @property
-    def backward(self) -> bool:
-        return self._settings.direction == "backward"
 
     def begin(self) -> None:
         """Find the contact region in which points are to be seeded, and warn if no contact is found."""
