@@ -25,6 +25,7 @@ from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.recordings.identity import identity_of
 from fingerflow.recordings.recording_files import files_of
 from fingerflow.results.store import Store
+from fingerflow.schema.scene_check import find
 from fingerflow.schema.text_file import check_file
 
 #: Attributes of a result, both JSON: the cache keys of its stages (`record`), and the stages copied from an earlier
@@ -132,9 +133,7 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return
-    value: Any = values
-    for name in key.split("."):
-        value = None if value is None else value.get(name)
+    value = find(values, key)
     if isinstance(value, dict):
         for name in value:
             yield from _settings(f"{key}.{name}", values, inputs)

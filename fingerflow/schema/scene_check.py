@@ -111,13 +111,13 @@ class TableCheck:
 
     def record_conflict(self, key: str, message: str) -> None:
         """Record a problem of a key that conflicts with other keys; the message quotes the value in the scene file."""
-        written = _find(self.written, key)
+        written = find(self.written, key)
         value = self.find_value(key) if written is None else written
         self.refuse(tuple(key.split(".")), f"{_shown(value)}: {message}")
 
     def find_value(self, key: str) -> Any:
         """Return the validated value at a dotted path such as "forces.tangential"; None if missing or invalid."""
-        return _find(self.values, key)
+        return find(self.values, key)
 
 
 class SceneCheck(TableCheck):
@@ -289,7 +289,7 @@ class SceneCheck(TableCheck):
         return None if rows is None or columns is None else (rows, columns)
 
 
-def _find(values: Any, key: str) -> Any:
+def find(values: Any, key: str) -> Any:
     """Return the value at a dotted path in nested tables; None if there is none."""
     for name in key.split("."):
         values = values.get(name) if isinstance(values, Mapping) else None

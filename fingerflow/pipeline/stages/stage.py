@@ -83,7 +83,6 @@ class Stage:
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
         backward: whether the frames are processed from the last one to the first one.
         restored: False if later stages need more of it than `restore` brings back from an earlier result.
-        first_frame: number in the file of the first selected frame.
         warnings: messages to the user; of the instance.
         series: values (frames, ...) by name of the variables that have a few numbers a frame, NaN until they are set;
             `derive` stores them, with the attributes in `about`.
@@ -104,7 +103,6 @@ class Stage:
         self.trial = trial
         self.warnings: list[str] = []
         self.inputs = trial.inputs
-        self.first_frame = trial.inputs.scene.recording.first_frame
         self.results = trial.results
         self.about: dict[str, Mapping[str, Any]] = {}
         self.series = {
@@ -120,6 +118,11 @@ class Stage:
         depend on a stage with such subclasses.
         """
         return cls
+
+    @property
+    def first_frame(self) -> int:
+        """Return the number in the file of the first selected frame."""
+        return self.inputs.scene.recording.first_frame
 
     @cached_property
     def usable(self) -> Mask:

@@ -196,6 +196,7 @@ class ContactStage(Stage):
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest, self._glass
+        mask: Any = contact.real_contact_mask  # the engines of recordings return it
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
@@ -203,16 +204,13 @@ class ContactStage(Stage):
         if region.any():
             radius_px = self.inputs.scene.contact.gross_radius_px
             self.warnings += view_faults.check_unlit_glass(region, self._light[0][0, 0], radius_px)
-            if contact.real_contact_mask is not None:
-                specks = contact.real_contact_mask[0, 0][away > radius_px].sum()
-                self._specks_mm2 = float(specks) * self.inputs.mm_per_px**2
+            self._specks_mm2 = float(mask[0, 0][away > radius_px].sum()) * self.inputs.mm_per_px**2
             if np.isfinite(self._period_px):
                 counts, gain = self.inputs.counts(frame, self._view), float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
                 shadow = [*view_faults.check_shadow((counts[0] - self._black) / lit, away, self._period_px)]
                 self.warnings += shadow or self._check_rim(counts, contact)
-                if contact.real_contact_mask is not None:
-                    self.warnings += view_faults.check_sweat(contact.real_contact_mask[0, 0], self._period_px)
+                self.warnings += view_faults.check_sweat(mask[0, 0], self._period_px)
         usable = np.flatnonzero(self.usable)
         frames = dict.fromkeys((usable[0], self.reference_frame, usable[-1]))
         pictures = ((number + self.first_frame, self._counts(number)[0] - self._black) for number in frames)
@@ -223,9 +221,8 @@ class ContactStage(Stage):
         lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
         gross, whole = (self._on_glass.sizes(seen).gross[0] for seen in (contact, lower))
         self._pale_rim_mm = pale_rim_mm(gross, whole)
-        mask = contact.real_contact_mask
-        thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px)
-        rim = max(self._pale_rim_mm, thin)
+        mask: Any = contact.real_contact_mask
+        rim = max(self._pale_rim_mm, view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px))
         radius = self.inputs.scene.contact.gross_radius_px
         averaged = np.interp(radius / self._period_px, *_AVERAGED)
         self.faint_rim_mm = float(max(rim, sparse_border_mm(contact.real_area_px, contact.gross_area_px), averaged))
@@ -233,10 +230,9 @@ class ContactStage(Stage):
 
     def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: Series) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
-        if contact.real_contact_mask is None:
-            return
+        mask: Any = contact.real_contact_mask
         radius_px = self.inputs.scene.contact.gross_radius_px
-        cell_px, masks, region = self.cell_px, contact.real_contact_mask[:, 0], contact.density_margin[:, 0] > 0
+        cell_px, masks, region = self.cell_px, mask[:, 0], contact.density_margin[:, 0] > 0
         # Every pixel is looked at where sampled ones show a fourth of what is warned of.
         away = view_faults.outside_region(region.any(0), cell_px, radius_px)
         step = 2 * cell_px  # px between samples, each of which is read from a memory line of its own

@@ -284,13 +284,10 @@ class DeformationStage(Stage):
             count += finite.sum(0)
             total += np.where(finite, variance, 0).sum(0, dtype=np.float64)
         self.noise = total / np.maximum(count, 1)
-        # A touch in the last frame counts as lasting, as later frames are unknown.
-        stays = touch.length > 0
-        came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
         self._inside = self._later & (touch.first == self.seeded)
-        stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
-        touched = came >= 0
+        # A touch in the last frame counts as lasting, as later frames are unknown.
+        stays, touched = (touch.length > 0) & ~self._inside, (touch.first >= 0) & ~self._inside
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
         self.reference[~touched] = np.nan
         known_then = stays & np.isfinite(self.reference).all(-1)

@@ -76,8 +76,7 @@ class NewSkin:
         if before is not None:
             old = len(before[0])
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
-        rows, columns = np.indices(touching.shape)
-        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
+        at = (np.argwhere(np.ones_like(touching))[:, ::-1] * _STEP + 0.5) * self._cell - 0.5  # (K, 2), of every cell
         followed, window = np.flatnonzero(tracked), self._window * self._per_px
         # Skin that touches, or may soon, farther than half a window from any point: a press has hardly any.
         ahead = int(_AHEAD * np.nanmax(np.abs(way[followed]), initial=0.0) / (self._cell * _STEP)) + 1
