@@ -1,6 +1,5 @@
 """Contact in every frame: real and apparent (gross) area, fitted ellipse, and region of the apparent contact."""
 
-from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import cv2
@@ -216,7 +215,7 @@ class ContactStage(Stage):
         pictures = ((number + self.first_frame, self._counts(number)[0] - self._black) for number in frames)
         self.warnings += view_faults.check_moved_glass(pictures, light, away)
 
-    def _check_rim(self, counts: Array, contact: FrameContact) -> Iterable[str]:
+    def _check_rim(self, counts: Array, contact: FrameContact) -> list[str]:
         """Measure the faint rim of the `contact` in a picture, and return a warning if there is one."""
         lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
         gross, whole = (self._on_glass.sizes(seen).gross[0] for seen in (contact, lower))
@@ -226,7 +225,7 @@ class ContactStage(Stage):
         radius = self.inputs.scene.contact.gross_radius_px
         averaged = np.interp(radius / self._period_px, *_AVERAGED)
         self.faint_rim_mm = float(max(rim, sparse_border_mm(contact.real_area_px, contact.gross_area_px), averaged))
-        return check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)
+        return [*check_faint_rim(rim, gross, float(contact.threshold[0]), radius, self._period_px)]
 
     def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: Series) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""

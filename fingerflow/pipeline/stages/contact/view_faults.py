@@ -77,10 +77,8 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, pixel_m
         merged = cv2.morphologyEx(merged, operation, _disc(radius_px))
     _, labels, parts, _ = cv2.connectedComponentsWithStats(merged, connectivity=8)
     areas = parts[1:, cv2.CC_STAT_AREA]
-    if not len(areas) or areas.max() <= least_px:
-        return
-    area, real = areas.max(), touching[labels == 1 + areas.argmax()].sum()
-    if real >= DENSITY * area:
+    area = areas.max(initial=0)
+    if area > least_px and (real := touching[labels == 1 + areas.argmax()].sum()) >= DENSITY * area:
         yield (
             f"a second contact lies in the view, as of another finger or a knuckle: {real * pixel_mm2:.2g} mm² of "
             f"real contact in {area * pixel_mm2:.2g} mm² in frame {frame}. Results are of the densest part alone, or "

@@ -2,7 +2,6 @@
 fields by local fits, and medians over the gross contact.
 """
 
-import math
 from typing import Any, ClassVar
 
 import numpy as np
@@ -37,7 +36,7 @@ from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
 # median deviation of the points, and that of the median length over their mean deviation by curvature within windows,
 # which pulls all skin beside slip alike, and by the time of onset, most of which is that of single points.
 _OF_MOTION, _OF_CURVATURE, _OF_ONSET = 0.5, 1.4, 0.25
-_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector with two components of the deviation 1
+_MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector with two components of the deviation 1
 
 
 class DeformationStage(Stage):

@@ -72,8 +72,7 @@ class SkinFlow:
         self._mask = mask
         # Variance of the reference picture's displacement from the first frame.
         self._walked = np.zeros(mask.shape, np.float32)
-        self._noise: Tensor | None = None
-        self._compare_with(image, mask)
+        self._compare_with(image, mask, None)
         self._noise = self.template.variance.sqrt()
         self._last = image.new_zeros((1, 2, *mask.shape), dtype=self.template.value.dtype)
         self._speed = torch.zeros_like(self._last)
@@ -111,9 +110,9 @@ class SkinFlow:
             self._known, self._picture = motion, image.clone()
         return motion
 
-    def _compare_with(self, image: Tensor, mask: Mask) -> None:
+    def _compare_with(self, image: Tensor, mask: Mask, noise: Tensor | None) -> None:
         inside = torch.from_numpy(mask).to(image.device)[None, None]
-        self.template = prepare_flow(image, inside, roughness=ROUGHNESS, noise=self._noise)
+        self.template = prepare_flow(image, inside, roughness=ROUGHNESS, noise=noise)
         value = self.template.value[0, 0].cpu().numpy()
         size = (_TEXTURE_PX, _TEXTURE_PX)
         mean, squares = (cv2.blur(picture, size, borderType=cv2.BORDER_REFLECT) for picture in (value, value * value))
@@ -144,7 +143,7 @@ class SkinFlow:
         pixels = picture[0, 0].cpu().numpy().astype(np.float32)
         back = cv2.remap(pixels, x + went[..., 0], y + went[..., 1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
         self._walked = self._known.variance
-        self._compare_with(torch.from_numpy(back)[None, None].to(picture.device), valid)
+        self._compare_with(torch.from_numpy(back)[None, None].to(picture.device), valid, self._noise)
         self.renewed, self._picture = self.renewed + 1, None
 
 

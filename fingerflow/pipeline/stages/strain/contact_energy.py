@@ -18,7 +18,6 @@ from scipy.spatial.distance import cdist
 from scipy.special import ellipe
 
 from fingerflow.kernels.array_types import Array, Mask, Numbers
-from fingerflow.kernels.arrays import is_finite
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
@@ -93,7 +92,7 @@ class ContactEnergy:
             since: gives, for numbers (k,) of these frames, the motion (k, N, 2) mm of all points since the
                 border was `GROWTH_MM` inside its present position.
         """
-        counts = counts & is_finite(displacement) & np.isfinite(variance)
+        counts = counts & np.isfinite(displacement).all(-1) & np.isfinite(variance)
         of_point = np.maximum(variance, _LEAST_MM**2) * (counts @ self._shared)
         energy, deviation = np.full((2, len(counts)), np.nan)
         result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool), np.ones(len(counts)))

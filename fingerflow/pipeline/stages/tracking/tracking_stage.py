@@ -1,8 +1,5 @@
 """Tracking of skin points through all frames, in the topographic view."""
 
-import math
-from collections.abc import Sequence
-from itertools import chain
 from typing import Any, ClassVar
 
 import cv2
@@ -133,17 +130,15 @@ class TrackingStage(Stage):
         pixels, error, status = tracked_points.points, tracked_points.error, tracked_points.status
         covered = covers(margin, tracked_points.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
-        for name, values in {
-            "position": self.inputs.geometry.on_glass(pixels),
-            "position_px": pixels,
-            "position_std_px": np.sqrt(tracked_points.variance + np.concatenate(curved, axis=1)),
-            "position_noise_px": np.sqrt(tracked_points.variance),
-            "subset_correlation": np.where(seen, np.concatenate([group.correlation for group in self._seeded]), np.nan),
-            "forward_backward_error": error,
-            "status": status,
-            "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
-        }.items():
-            self.results[name][indices] = values
+        correlation = np.concatenate([group.correlation for group in self._seeded])
+        self.results["position"][indices] = self.inputs.geometry.on_glass(pixels)
+        self.results["position_px"][indices] = pixels
+        self.results["position_std_px"][indices] = np.sqrt(tracked_points.variance + np.concatenate(curved, axis=1))
+        self.results["position_noise_px"][indices] = np.sqrt(tracked_points.variance)
+        self.results["subset_correlation"][indices] = np.where(seen, correlation, np.nan)
+        self.results["forward_backward_error"][indices] = error
+        self.results["status"][indices] = status
+        self.results["in_contact"][indices] = covered & (status != TrackStatus.NOT_SEEDED_YET)
         if _CORRECTION in self.trial.requested:
             parts = [points.correction for points in self._seeded]  # 0 up to the frame in which a point was seeded
             parts = [np.pad(part, ((len(images) - len(part), 0), (0, 0), (0, 0))) for part in parts]
@@ -166,7 +161,7 @@ class TrackingStage(Stage):
         (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
         return np.nan_to_num(np.stack((xx - yy, 2 * xy), axis=1) / np.maximum(xx + yy, 1e-30)[:, None])
 
-    def _create(self, points: int, noise: float = math.nan) -> None:
+    def _create(self, points: int, noise: float = np.nan) -> None:
         for variable in TRACKING:
             if "point" in variable.dims and self.trial.stores(variable):
                 about = {"image_noise": noise} if variable.name == "position_std_px" else None
@@ -270,7 +265,7 @@ class TrackingStage(Stage):
         """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
         room for the results.
         """
-        variables = filter(self.trial.stores, chain.from_iterable(stage.gives for stage in self.trial.planned))
+        variables = filter(self.trial.stores, (variable for stage in self.trial.planned for variable in stage.gives))
         most = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
         why = most if points + more == MOST_SEEDED * self._settings.points else ""
         try:
@@ -337,7 +332,7 @@ class TrackingStage(Stage):
         return (contact & (near == 0)).sum() / max(contact.sum(), 1)
 
 
-def _motion(groups: Sequence[Points]) -> PointMotion:
+def _motion(groups: list[Points]) -> PointMotion:
     """Return the motion of the points of all groups."""
     return PointMotion(*map(np.concatenate, zip(*(group.motion for group in groups), strict=True)))
 
