@@ -249,8 +249,6 @@ class ContactStage(Stage):
                 self.warnings += several
 
     def _gross_region(self, contact: FrameContact) -> Mask:
-        if not (contact.density_margin > 0).any():
-            return np.zeros(self._view.shape, dtype=bool)
         return np.asarray(mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)[0, 0])
 
     def _counts(self, frame: int | np.integer) -> Array:

@@ -48,16 +48,15 @@ class CountedSkin:
         if not stage.trial.stage(TrackingStage).backward:
             skins = _skins(results["status"], stage.seeded)
         both: list[list[Array]] = []
-        for points, _ in skins:
+        for points, end in skins:
             plain, separate = triangulate(np.where(points[:, None], reference, np.nan)), self._advected(points)
             if stage.by_onsets:
                 distorted = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
                 plain, separate = plain[~distorted], np.concatenate([plain[distorted], separate])
-            both.append([plain, separate])
-        plain, separate = (np.concatenate(parts) for parts in zip(*both, strict=True))
+            both.append([plain, separate, np.full(len(plain), end), np.full(len(separate), end)])
+        plain, separate, *ends = (np.concatenate(parts) for parts in zip(*both, strict=True))
         self.triangles = np.concatenate([plain, separate])
         self.begins = onset[self.triangles].max(1, initial=0)
-        ends = [np.repeat([end for _, end in skins], list(map(len, parts))) for parts in zip(*both, strict=True)]
         self.ends = np.concatenate(ends)
         # Corners of the separate triangles.
         self._points, self._since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
