@@ -38,9 +38,8 @@ class Plan(NamedTuple):
         for stage in self.stages:
             later = [number[earlier] + 1 for earlier in stage.after if earlier in number]
             number[stage] = max([0, *later, *(number[neighbour] for neighbour in stage.same_pass)])
-        return [
-            [stage for stage in self.stages if number[stage] == k] for k in range(max(number.values(), default=-1) + 1)
-        ]
+        last = max(number.values(), default=-1)
+        return [[stage for stage in self.stages if number[stage] == k] for k in range(last + 1)]
 
 
 def plan(outputs: Collection[str] | None, scene: Scene) -> Plan:

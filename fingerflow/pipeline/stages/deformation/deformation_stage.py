@@ -57,7 +57,7 @@ class DeformationStage(Stage):
         border: of the contact in all frames, mm, without the vibration of the image.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
-        common_position: (N, 2) mm, of `common_frame`.
+        common_position: (N, 2) mm, of `_common_frame`.
         steady_position: (F, N, 2) mm, of the points, without the vibration of the image.
         seeded: (N,) frame in which a point was seeded.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
@@ -97,9 +97,7 @@ class DeformationStage(Stage):
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
         first, position = int(usable[-1 if backward else 0]), self.results["position"]
-        self.common_position, self.seeded = common_frame(
-            position, self.results["status"], first, backward, self.mm_per_px
-        )
+        self.common_position, self.seeded = self._common_frame(first, backward)
         self._later = self.seeded != first
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
         self._shaken, pressed = np.zeros((len(self.trial), 2), complex), inputs.scene.kind in ("press", "single_view")
@@ -155,6 +153,32 @@ class DeformationStage(Stage):
             self.results.create(name, self.attributes)
         self._touch = Touches(points)
         self._begin_fields()
+
+    def _common_frame(self, first: int, backward: bool) -> tuple[Points, Numbers]:
+        """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points
+        seeded later, and the frames (N,) in which they were seeded.
+
+        They were first seeded in frame `first` and tracked from there, forward or `backward`. The position of a point
+        seeded later is that in its first frame, less the displacement of the points around it since the first seeding.
+        These are coordinates of the skin extrapolated beyond the region that was seen. Gradients between two later
+        frames, F(t) F(s)^-1, do not depend on them.
+
+        That displacement is a mean over few points (`interpolate_displacement`). It differs little between neighbouring
+        points, so that the skin does not fold, and it stays bounded far away, unlike an extrapolated plane. Where
+        hardly a point is left, as after a finger was lifted, new points start without a displacement.
+        """
+        position, status, px = self.results["position"], self.results["status"], self.mm_per_px
+        positions = np.array(position[first : first + 1][0], dtype=np.float64)
+        later = status[first : first + 1][0] == TrackStatus.NOT_SEEDED_YET
+        waiting, frames = np.zeros(len(positions), np.intp), status.shape[0]
+        for begin in range(0, frames if later.any() else 0, FRAMES_READ):
+            waiting += (status[begin : begin + FRAMES_READ] == TrackStatus.NOT_SEEDED_YET).sum(0)
+        seeded = np.where(later, frames - 1 - waiting if backward else waiting, first)
+        for frame in sorted(set(seeded[later].tolist()), reverse=backward):
+            now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))
+            moved, _ = interpolate_displacement(now / px, now - positions, now[new] / px, fewest=1)
+            positions[new] = now[new] - np.nan_to_num(moved)
+        return positions, seeded
 
     def _begin_fields(self) -> None:
         """Create the result variables of the fields, and prepare their computation."""
@@ -367,34 +391,6 @@ class SteadyPositions:
 
     def __getitem__(self, frames: Any) -> Points:
         return steady(self._position[frames], self._motion[frames, None])
-
-
-def common_frame(
-    position: Values, status: Values, first: int, backward: bool, mm_per_px: float
-) -> tuple[Points, Numbers]:
-    """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
-    later, and the frames (N,) in which they were seeded, from `position` (F, N, 2) mm and track `status` (F, N).
-
-    They were first seeded in frame `first` and tracked from there, forward or `backward`. The position of a point
-    seeded later is that in its first frame, less the displacement of the points around it since the first seeding.
-    These are coordinates of the skin extrapolated beyond the region that was seen. Gradients between two later frames,
-    F(t) F(s)^-1, do not depend on them.
-
-    That displacement is a mean over few points (`interpolate_displacement`). It differs little between neighbouring
-    points, so that the skin does not fold, and it stays bounded far away, unlike an extrapolated plane. Where hardly a
-    point is left, as after a finger was lifted, new points start without a displacement.
-    """
-    positions = np.array(position[first : first + 1][0], dtype=np.float64)
-    later = status[first : first + 1][0] == TrackStatus.NOT_SEEDED_YET
-    waiting, frames = np.zeros(len(positions), np.intp), status.shape[0]
-    for begin in range(0, frames if later.any() else 0, FRAMES_READ):
-        waiting += (status[begin : begin + FRAMES_READ] == TrackStatus.NOT_SEEDED_YET).sum(0)
-    seeded = np.where(later, frames - 1 - waiting if backward else waiting, first)
-    for frame in sorted(set(seeded[later].tolist()), reverse=backward):
-        now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))
-        moved, _ = interpolate_displacement(now / mm_per_px, now - positions, now[new] / mm_per_px, fewest=1)
-        positions[new] = now[new] - np.nan_to_num(moved)
-    return positions, seeded
 
 
 def residual_deviations(
