@@ -92,7 +92,7 @@ def reasons_to_compute(earlier: xr.Dataset, path: Path, plan: Plan, keys: Keys, 
     whole = "" if earlier_stages else f"{path} of an older version does not say what its stages depend on"
     computed: dict[str, str] = {}
     for stage in plan.stages:
-        if why := whole or _reason_to_compute(stage, plan, keys[stage], earlier_stages.get(stage.name), computed):
+        if why := whole or _reason_to_compute(stage, plan, keys, earlier_stages.get(stage.name), computed):
             computed[stage.name] = why
     # A stage that runs needs the steps of the stages in `same_pass`, and the stages in `after` unless these can be
     # `restored`.
@@ -103,9 +103,7 @@ def reasons_to_compute(earlier: xr.Dataset, path: Path, plan: Plan, keys: Keys, 
     return computed
 
 
-def _reason_to_compute(
-    stage: type[Stage], plan: Plan, key: Mapping[str, Any], record: Mapping[str, Any] | None, computed: dict[str, str]
-) -> str:
+def _reason_to_compute(stage: type[Stage], plan: Plan, keys: Keys, record: Any, computed: dict[str, str]) -> str:
     """Return why a stage must be computed, or "" if the earlier results of the stage can be reused."""
     if record is None:
         return "it was not computed there"
@@ -113,10 +111,10 @@ def _reason_to_compute(
     lacking = sorted((optional & plan.requested).difference(record["gave"]))
     if lacking:
         return f"{lacking[0]} is not there"
-    if record["digest"] == key["digest"]:
+    if record["digest"] == keys[stage]["digest"]:
         return ""
     then: Mapping[str, Any] = record["settings"]
-    changed = {name: value for name, value in key["settings"].items() if then.get(name) != value}
+    changed = {name: value for name, value in keys[stage]["settings"].items() if then.get(name) != value}
     if changed:
         return ", ".join(f"{name} was {then.get(name)!s:.60} and is {value!s:.60}" for name, value in changed.items())
     before = [earlier.name for earlier in (*stage.after, *stage.same_pass) if earlier.name in computed]

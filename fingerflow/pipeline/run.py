@@ -128,26 +128,23 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     scene = inputs.scene
-    store.finish(
-        inputs.times,
-        np.arange(len(inputs.times)) + scene.recording.first_frame,
-        {
-            "title": "fingertip on glass",
-            "fingerflow_version": __version__,
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "settings": scene.as_json(),
-            "strain_measure": scene.fields.strain,
-            "engine": inputs.engine.name,
-            "warnings": json.dumps([*inputs.warnings, *(text for stage in stages.values() for text in stage.warnings)]),
-            STAGES: record(keys, stages, store),
-            "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
-            "mm_per_px": inputs.mm_per_px,
-            "topography_to_contact": json.dumps(inputs.geometry.topography_to_contact.tolist()),
-            "frames": str(scene.recording.frames),
-            **reuse,
-            **({"recording": recording} if recording else {}),
-        },
-    )
+    attributes = {
+        "title": "fingertip on glass",
+        "fingerflow_version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "settings": scene.as_json(),
+        "strain_measure": scene.fields.strain,
+        "engine": inputs.engine.name,
+        "warnings": json.dumps([*inputs.warnings, *(text for stage in stages.values() for text in stage.warnings)]),
+        STAGES: record(keys, stages, store),
+        "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
+        "mm_per_px": inputs.mm_per_px,
+        "topography_to_contact": json.dumps(inputs.geometry.topography_to_contact.tolist()),
+        "frames": str(scene.recording.frames),
+        **reuse,
+        **({"recording": recording} if recording else {}),
+    }
+    store.finish(inputs.times, np.arange(len(inputs.times)) + scene.recording.first_frame, attributes)
 
 
 def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], progress: bool) -> None:

@@ -51,9 +51,7 @@ class ContactStage(Stage):
     needs = ("views.contact",)
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
-    settings: ClassVar[tuple[str, ...]] = (
-        *("kind", "contact", "views.contact", "background", "recording.first_frame", *SCALE_KEYS),
-    )
+    settings = ("kind", "contact", "views.contact", "background", "recording.first_frame", *SCALE_KEYS)
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)

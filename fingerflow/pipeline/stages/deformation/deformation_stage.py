@@ -80,9 +80,8 @@ class DeformationStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
         *("kind", "fields.gauge_length_mm", "fields.reference", "fields.strain", "fields.rate_window_s"),
-        *("tracking.template", "tracking.direction", "tracking.window_px"),
-        *("recording.times", "recording.first_frame", "contact.gross_radius_px"),
-        *("calibration.mm_per_px", "calibration.topography_to_contact"),
+        *("tracking.template", "tracking.direction", "tracking.window_px", "recording.times", "recording.first_frame"),
+        *("contact.gross_radius_px", "calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
     def begin(self) -> None:
@@ -132,10 +131,10 @@ class DeformationStage(Stage):
                 self.warnings += plausibility.check_beginning(self.results["gross_contact_area"][:], self.first_frame)
             motion = self.onset, self.reference, self._settings.gauge_length_mm, self._onset_border
             moves_in = advected(self.steady_position, self.common_position, *motion)
-            self.onset_variance, self.of_onset, self.independent = onset_errors(
-                *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
-                *(self._select_positions, self._onset_border, self.trial.stage(ContactStage).faint_rim_mm),
-            )
+            known = inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)
+            rim_mm = self.trial.stage(ContactStage).faint_rim_mm
+            errors = onset_errors(*known, self._select_positions, self._onset_border, rim_mm)
+            self.onset_variance, self.of_onset, self.independent = errors
         else:
             self.onset_variance, self.of_onset = np.full(points, np.nan), np.zeros((points, 2, 2))
             self.independent = self.of_onset[:, 0, 0]

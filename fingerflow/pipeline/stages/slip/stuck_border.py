@@ -190,10 +190,8 @@ class StuckBorder:
         slipping annulus of this width.
         """
         assert self.fit is not None
-        at = np.linspace(0, width / 2, 100)
-        shown = np.maximum.accumulate(
-            self.fit.blurred_displacement(at, self._seen) - self.fit.blurred_displacement(at - width, self._seen)
-        )
+        at, seen = np.linspace(0, width / 2, 100), self.fit.blurred_displacement
+        shown = np.maximum.accumulate(seen(at, self._seen) - seen(at - width, self._seen))
         clear = min(self._above * self.noise, float(shown[-1]))
         if not clear > level:
             return level, 0.0

@@ -109,12 +109,10 @@ class CountedSkin:
         separate = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
         # Half of a position's variance is noise of its template, the same in every frame, as for all points.
         noise = (stage.tracked_variance(frames, "position_noise_px")[:, points] + self._variance) / 2
-        noise = np.where(frames[:, None] == self._since, 0, noise)
-        return (
-            np.concatenate([moved.displacement, separate], axis=1),
-            np.concatenate([moved.variance, noise.astype(np.float32)], axis=1),
-            np.concatenate([moved.curvature, moved.curvature[:, points]], axis=1),
-        )
+        noise = np.where(frames[:, None] == self._since, 0, noise).astype(np.float32)
+        pairs = (moved.displacement, separate), (moved.variance, noise), (moved.curvature, moved.curvature[:, points])
+        displacement, variance, curvature = (np.concatenate(pair, axis=1) for pair in pairs)
+        return displacement, variance, curvature
 
 
 def _skins(status: Values, seeded: Numbers) -> list[tuple[Mask, int]]:

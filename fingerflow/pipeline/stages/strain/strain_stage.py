@@ -175,10 +175,8 @@ class StrainStage(Stage):
         seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
         unknown = 2 * (seen & np.isfinite(moved.displacement[..., 0])).sum(1) < seen.sum(1)
         between, between_std = (np.where(unknown, np.nan, values) for values in (between, between_std))
-        border_energy = border_density(
-            *(np.where(touching, density, np.nan), self._areas, self._sum_corners(position) / 3, border),
-            reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
-        )
+        reach_mm, centroids = self._settings.gauge_length_mm / 2, self._sum_corners(position) / 3
+        border_energy = border_density(np.where(touching, density, np.nan), self._areas, centroids, border, reach_mm)
         # Where no triangle lies near the border, an error of the border changes no triangle that counts.
         strip = np.nan_to_num(self._border_mm * perimeter(border.semi_axes) * border_energy)
         # Tracking corrects for the second derivatives of the displacement within a window. The fourth ones are left.

@@ -51,10 +51,9 @@ class TrackingStage(Stage):
     same_pass = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
-    settings: ClassVar[tuple[str, ...]] = (
+    settings = (
         *("kind", "tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
-        *("contact.appears", "contact.gross_radius_px"),
-        *(*SCALE_KEYS, "calibration.topography_to_contact"),
+        *("contact.appears", "contact.gross_radius_px", *SCALE_KEYS, "calibration.topography_to_contact"),
     )
 
     def __init__(self, trial: RunContext) -> None:
