@@ -119,20 +119,17 @@ def number(
 ANY_NUMBER = number()(False)
 
 
-def _switch(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise WrongValue("it should be true or false")
-    return value
+def _instance_of(kind: type, words: str, needed: str, name: str) -> KeyType:
+    def convert(value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise WrongValue(f"it should be {needed}")
+        return value
+
+    return KeyType(words, convert, {"input": name})
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise WrongValue("it should be text in quotes")
-    return value
-
-
-SWITCH = KeyType("true or false", _switch, {"input": "switch"})
-TEXT = KeyType("text", _text, {"input": "text"})
+SWITCH = _instance_of(bool, "true or false", "true or false", "switch")
+TEXT = _instance_of(str, "text", "text in quotes", "text")
 
 
 def choice(choices: tuple[str | int, ...], other: KeyType | None = None) -> KeyType:

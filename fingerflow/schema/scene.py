@@ -69,18 +69,9 @@ def scene_of_settings(settings: str) -> Scene:
         raise FingerflowError(f"{path}: the settings in its result have format {version}; update fingerflow")
     scene_kind = stored.setdefault("kind", default_kind(stored))
     shown = KINDS[scene_kind].all_views if scene_kind in KINDS else ()
-    stored["views"] = {
-        name: view for name, view in stored["views"].items() if name in shown
-    }  # scene files hold no roles
+    stored["views"] = {name: stored["views"][name] for name in shown if name in stored["views"]}  # files hold no roles
     stored["calibration"].pop("file", None)  # the other settings already hold the values of this file
-    return scene_from(_without_none(stored), path, "settings of the result")
-
-
-def _without_none(value: Any) -> Any:
-    """Remove all keys with the value None from settings, since the scene file did not have them."""
-    if isinstance(value, dict):
-        return {name: _without_none(entry) for name, entry in value.items() if entry is not None}
-    return value
+    return scene_from(stored, path, "settings of the result")
 
 
 def _scene(check: SceneCheck, path: Path, place_of: Callable[[Keys], str]) -> Scene:
@@ -98,11 +89,9 @@ def line_number(text: str, keys: Keys) -> int:
     table: Keys = ()
     longest, result = 0, 1
     for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[+([^\[\]]+)\]", line)
-        setting = re.match(r"([^#=]+)=", line)
-        if header:
+        if header := re.match(r"\s*\[+([^\[\]]+)\]", line):
             position = table = _parts(header[1])
-        elif setting:
+        elif setting := re.match(r"([^#=]+)=", line):
             position = (*table, *_parts(setting[1]))
         else:
             continue

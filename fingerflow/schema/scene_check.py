@@ -66,21 +66,20 @@ class TableCheck:
         values: dict[str, Any] = {}
         for name, key in table.keys.items():
             keys = (*prefix, name)
-            if name not in written:
+            if (value := written.get(name)) is None:  # left out; settings of results say so by None
                 if self._reader in key.needed_by:
                     self.lacks(keys)
                 values[name] = key.left_out()
                 continue
             self.given.add(".".join(keys))
-            value = written[name]
             if isinstance(key, SceneKey):
                 values[name] = self.value(keys, key, value)
             elif isinstance(value, dict):
                 values[name] = self.table(keys, key, value)
             else:
                 self.refuse(keys, f"{_shown(value)}: it should be a table")
-        for name in written:
-            if name not in table.keys:
+        for name, value in written.items():
+            if name not in table.keys and value is not None:
                 self._unknown((*prefix, name), table, besides)
         return values
 

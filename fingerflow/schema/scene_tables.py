@@ -6,8 +6,7 @@ it. The recipe of a bundle and the engines take the classes from which those of 
 """
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -343,17 +342,10 @@ class Scene:
 
     def files(self) -> tuple[Path, ...]:
         """Return the paths of the scene file and of all files named in it, which no output may overwrite."""
-        forces = None if self.forces is None else self.forces.file
-        masks = (None if view.region is None else view.region.mask for view in self.views.values())
-        named = (
-            self.recording.frames,
-            self.background.frames,
-            self.background.dark,
-            self.calibration.file,
-            forces,
-            *masks,
-        )
-        return (self.path, *(file for file in named if file is not None))
+        named = [self.recording.frames, self.background.frames, self.background.dark, self.calibration.file]
+        named += [self.forces.file] if self.forces else []
+        named += [view.region.mask for view in self.views.values() if view.region]
+        return (self.path, *filter(None, named))
 
     @property
     def dense_flow_slip(self) -> bool | None:
@@ -380,18 +372,9 @@ class Scene:
         """Return all settings of the scene, including defaults, as JSON text with tables and keys as in the file, and
         the `format` of this text.
         """
-        settings: dict[str, Any] = _plain(self)
+        settings = asdict(self)
         del settings["given"]
-        return json.dumps({"format": SETTINGS_FORMAT, **settings})
-
-
-def _plain(value: Any) -> Any:
-    """Convert settings (data classes, mappings and paths) to JSON types."""
-    if is_dataclass(value):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    return str(value) if isinstance(value, Path | frozenset) else value
+        return json.dumps({"format": SETTINGS_FORMAT, **settings}, default=str)  # paths as text
 
 
 #: Tables of a scene file other than [views], which depends on the kind of the scene.

@@ -119,10 +119,8 @@ class Variable:
 
     def attributes(self) -> dict[str, object]:
         """Return the data set attributes of the variable by the CF conventions: units, definition and flag meanings."""
-        flags: dict[str, object] = {}
-        if self.flags:
-            flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
-        return {"units": self.units, "long_name": self.long_name, **flags}
+        flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
+        return {"units": self.units, "long_name": self.long_name, **(flags if self.flags else {})}
 
 
 def with_deviation(variable: Variable, equation: str = "", note: str = "", **more: Any) -> tuple[Variable, Variable]:
