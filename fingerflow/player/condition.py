@@ -3,17 +3,12 @@
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from fingerflow.errors import PlayerError, did_you_mean
 from fingerflow.schema.variable_record import Variable
 
-_COMPARE: dict[str, Callable[[float, float], bool]] = {
-    ">": operator.gt,
-    ">=": operator.ge,
-    "<": operator.lt,
-    "<=": operator.le,
-}
+_COMPARE = {">": operator.gt, ">=": operator.ge, "<": operator.lt, "<=": operator.le}
 _NUMBER = r"([\d.]+(?:[eE][-+]?\d+)?)"
 _FORM = re.compile(rf"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?){_NUMBER}\s*([^\s,]*)(?:\s*,\s*margin\s+{_NUMBER})?\s*")
 
@@ -76,9 +71,7 @@ def _factor(variable: Variable, unit: str) -> float:
     such as "mm2"; raise PlayerError if the variable is not measured in that unit.
     """
     shown, base = variable.shown_unit, "" if variable.units == "1" else variable.units
-    factors_named = {base: 1.0} | {
-        shown_name.name: shown_name.factor for shown_name in (shown, shown.percent) if shown_name
-    }
+    factors_named = {base: 1.0} | {unit.name: unit.factor for unit in (shown, shown.percent) if unit}
     factors = {_plain(name): factor for name, factor in factors_named.items()}
     if _plain(unit) not in factors:
         units = " or ".join(repr(shown_name or "no unit") for shown_name in factors_named)

@@ -21,11 +21,11 @@ class LiveValues:
     """
 
     def __init__(self, layout: RecordLayout) -> None:
-        self._places: dict[str, tuple[str, int | None]] = {}
+        self._places: dict[str, tuple[str, int | tuple[()]]] = {}
         for name in (entry["name"] for entry in layout.fields if entry["name"] not in _STAMPED):
             dims = VARIABLES[name].dims
             if dims == FRAME:
-                self._places[name] = name, None
+                self._places[name] = name, ()
             elif len(dims) == 2 and dims[1] in LABELS:
                 self._places |= {f"{name}_{label}": (name, index) for index, label in enumerate(LABELS[dims[1]])}
         self.variables: dict[str, Variable] = {
@@ -43,7 +43,4 @@ class LiveValues:
 
     def flatten(self, record: Array) -> dict[str, float]:
         """Return the live values of a frame by name, taken from its record: scalar results and vector components."""
-        return {
-            name: float(record[field] if index is None else record[field][index])
-            for name, (field, index) in self._places.items()
-        }
+        return {name: float(record[field][index]) for name, (field, index) in self._places.items()}

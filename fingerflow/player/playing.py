@@ -1,7 +1,7 @@
 """Playing a stream from Python: a function is called with each frame, or a loop receives them."""
 
-import threading
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -46,27 +46,16 @@ def live_frames(bundle: str | Path, source: LiveSource = None, **options: Any) -
     """
     frames: Channel[LiveFrame] = Channel(1)
     player = _open(bundle, source, lambda frame, values: frames.put((frame, values)), options)
-    failures: list[BaseException] = []
-
-    def run() -> None:
+    with ThreadPoolExecutor(1, "play") as thread:
+        running = thread.submit(player.run)
+        running.add_done_callback(lambda _: frames.close())
         try:
-            player.run()
-        except BaseException as error:
-            failures.append(error)
+            while (live_frame := frames.get()) is not None:
+                yield live_frame
         finally:
+            player.stop()
             frames.close()
-
-    running = threading.Thread(target=run, name="play")
-    running.start()
-    try:
-        while (live_frame := frames.get()) is not None:
-            yield live_frame
-    finally:
-        player.stop()
-        frames.close()
-        running.join()
-    if failures:
-        raise failures[0]
+    running.result()  # raises what has ended the stream
 
 
 def _open(bundle: str | Path, source: LiveSource, on_frame: OnFrame | None, options: Mapping[str, Any]) -> Player:

@@ -102,9 +102,8 @@ class Player:
         self._source, self._open_source, self._first_number = source, played.open_source, played.first
         # Slots in use: one is being filled, one is computed, up to LONGEST are deferred, up to EVERY - 1 wait for a
         # threshold, up to _AT_ONCE are measured, one is drawn on the page. The others form the queue.
-        slots = [
-            Slot(bundle, played.scene) for _ in range(settings.queue + 2 + LONGEST + ThresholdSearch.EVERY + _AT_ONCE)
-        ]
+        count = settings.queue + 2 + LONGEST + ThresholdSearch.EVERY + _AT_ONCE
+        slots = [Slot(bundle, played.scene) for _ in range(count)]
         # Take the slot that was used last, which is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.process_all else 1)

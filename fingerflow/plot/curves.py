@@ -187,9 +187,8 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     sentences += [definition_text(each) for each in map(VARIABLES.__getitem__, shown) if each.long_name != each.words]
     deviations = dict.fromkeys(f"{variable}_std" for _, _, std, variable in curves if std is not None)
     if deviations:
-        errors = dict.fromkeys(
-            VARIABLES[name].long_name.partition(" by ")[2] for name in deviations if name in VARIABLES
-        )
+        meanings = [VARIABLES[name].long_name for name in deviations if name in VARIABLES]
+        errors = dict.fromkeys(meaning.partition(" by ")[2] for meaning in meanings)
         sentences.append(f"Bands: {BAND_WORDS}" + "".join(f", by {error}" for error in errors if error) + ".")
     sentences.append(f"n = {max([int(np.isfinite(values).sum()) for _, values, *_ in curves])} frames.")
     return " ".join(sentences)

@@ -77,13 +77,9 @@ class Lens:
         x, y = rays[..., 0], rays[..., 1]
         square = x * x + y * y
         radial = 1 + square * (k1 + square * (k2 + square * k3))
-        return np.stack(
-            (
-                x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-                y * radial + 2 * p2 * x * y + p1 * (square + 2 * y * y),
-            ),
-            -1,
-        )
+        right = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+        down = y * radial + 2 * p2 * x * y + p1 * (square + 2 * y * y)
+        return np.stack((right, down), -1)
 
 
 @dataclass(frozen=True)

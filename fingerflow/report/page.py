@@ -163,42 +163,34 @@ def write_report(
         sections = _sections(make, scene, frames)
     seconds = json.loads(result.attrs.get("stage_seconds", "{}"))
     parts = files(__package__)
-    curves = {
-        figure.name: figure.curves
-        for section in sections
-        for _, shown, _ in section.panels
-        for figure in shown
-        if figure.curves
-    }
+    figures = [figure for section in sections for _, shown, _ in section.panels for figure in shown]
+    curves = {figure.name: figure.curves for figure in figures if figure.curves}
     numbers = result["frame"].values
-    html = (
-        Environment(autoescape=True)
-        .from_string(parts.joinpath("page.html").read_text("utf-8"))
-        .render(
-            mark=MARK,
-            result=result,
-            heading="/".join(re.split(r"[\\/]", str(result.attrs["frames"]))[-2:]),
-            css=parts.joinpath("page.css").read_text("utf-8"),
-            js=parts.joinpath("page.js").read_text("utf-8"),
-            cautions=cautions(result),
-            columns=[(why, int(numbers[frame])) for frame, why in frames],
-            numbers=key_numbers(result, frames),
-            quantities=QUANTITIES,
-            comparison=comparison,
-            sections=sections,
-            lost=lost_points(result),
-            calibration=[
-                ("scale", f"{float(result.attrs['mm_per_px']):.5f} mm/px"),
-                *transform_rows(result.attrs["topography_to_contact"]),
-                ("strain measure", str(result.attrs["strain_measure"]).replace("_", " ")),
-            ],
-            calibration_picture=_calibration_picture(scene),
-            practice=practice_tables(result, scene),
-            settings=settings_tables(result.attrs["settings"]),
-            stages=[(name, value, 1000 * value / len(numbers)) for name, value in seconds.items()],
-            # Only "<" could end a script element, which has no escapes of its own, so it is written as a JSON escape.
-            curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
-        )
+    template = Environment(autoescape=True).from_string(parts.joinpath("page.html").read_text("utf-8"))
+    html = template.render(
+        mark=MARK,
+        result=result,
+        heading="/".join(re.split(r"[\\/]", str(result.attrs["frames"]))[-2:]),
+        css=parts.joinpath("page.css").read_text("utf-8"),
+        js=parts.joinpath("page.js").read_text("utf-8"),
+        cautions=cautions(result),
+        columns=[(why, int(numbers[frame])) for frame, why in frames],
+        numbers=key_numbers(result, frames),
+        quantities=QUANTITIES,
+        comparison=comparison,
+        sections=sections,
+        lost=lost_points(result),
+        calibration=[
+            ("scale", f"{float(result.attrs['mm_per_px']):.5f} mm/px"),
+            *transform_rows(result.attrs["topography_to_contact"]),
+            ("strain measure", str(result.attrs["strain_measure"]).replace("_", " ")),
+        ],
+        calibration_picture=_calibration_picture(scene),
+        practice=practice_tables(result, scene),
+        settings=settings_tables(result.attrs["settings"]),
+        stages=[(name, value, 1000 * value / len(numbers)) for name, value in seconds.items()],
+        # Only "<" could end a script element, which has no escapes of its own, so it is written as a JSON escape.
+        curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
     )
     path = folder / "report.html"
     write_text(path, html)
@@ -212,18 +204,13 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame]) -
     if make.brief:
         frames, most = frames[most : most + 1], 0
     if scene is not None:
-        pictured = frames or [(0, "first frame")]
-        panels = [
-            (
-                why,
-                [
-                    make.drawn(plot.picture(result, scene, frame, view=view), f"picture-{view}-{frame}", f"{view} view")
-                    for view in shown_views(scene)
-                ],
-                "grid pictures",
-            )
-            for frame, why in pictured
-        ]
+        panels: list[Panel] = []
+        for frame, why in frames or [(0, "first frame")]:
+            drawn = []
+            for view in shown_views(scene):
+                axes = plot.picture(result, scene, frame, view=view)
+                drawn.append(make.drawn(axes, f"picture-{view}-{frame}", f"{view} view"))
+            panels.append((why, drawn, "grid pictures"))
         sections.append(Section("What was seen", panels, first=max(most, 0)))
     time_only = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
     loads = [pair for pair in time_only if pair[1] in result and (pair[1] == "normal_force" or varies(result, pair[1]))]
@@ -262,29 +249,17 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first:
     indices = [frame for frame, _ in frames]
     shown = [result.isel(frame=index) for index in indices]
     drawable = [name for name in (_BRIEF_MAPS if make.brief else _MAPS) if name in plot.drawable(result)]
-    there = [
-        name
-        for name in drawable
-        if any(np.isfinite(plot.QUANTITIES[name].values(shown_frame)).any() for shown_frame in shown)
-    ]
+    there = [name for name in drawable if any(np.isfinite(plot.QUANTITIES[name].values(each)).any() for each in shown)]
     if not there or not indices:
         return None
     limits = {name: plot.colour_limit(result, name, indices) for name in there}
-    panels = [
-        (
-            why,
-            [
-                make.drawn(
-                    plot.field_map(result, name, frame, limit=limits[name]),
-                    f"map-{name}-{frame}",
-                    f"{plot.QUANTITIES[name].title}, {frame_text(result.isel(frame=frame))}",
-                )
-                for name in there
-            ],
-            "grid maps",
-        )
-        for frame, why in frames
-    ]
+    panels: list[Panel] = []
+    for (frame, why), data in zip(frames, shown, strict=True):
+        drawn = []
+        for name in there:
+            axes = plot.field_map(result, name, frame, limit=limits[name])
+            drawn.append(make.drawn(axes, f"map-{name}-{frame}", f"{plot.QUANTITIES[name].title}, {frame_text(data)}"))
+        panels.append((why, drawn, "grid maps"))
     lines = "; lines lie along the principal strain" * ("principal_angle" in result)
     return Section("Maps on the skin", panels, (f"Dashed: gross contact. All frames have one scale{lines}.",), first)
 

@@ -13,11 +13,7 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import VARIABLES
 
 Rows = list[tuple[str, str]]
-_STRAIN = {
-    "green_lagrange": "Green-Lagrange",
-    "as_printed": "Willemet et al. 2021, equation 1",
-    "infinitesimal": "infinitesimal",
-}
+_STRAIN = {"green_lagrange": "Green-Lagrange", "as_printed": "Willemet et al. 2021, equation 1"}
 
 
 def practice_tables(result: xr.Dataset, scene: Scene | None) -> dict[str, Rows]:
@@ -77,10 +73,10 @@ def _analysis(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str,
         ("interpolant", "cubic B-spline"),
     ]
     if fields:
-        gauge = fields["gauge_length_mm"]
+        gauge, measure = fields["gauge_length_mm"], str(result.attrs["strain_measure"])
         rows += [
             ("virtual strain gauge", f"{gauge:g} mm ({gauge / scale:.0f} px): planes fitted with bisquare weights"),
-            ("strain formulation", f"{_STRAIN[str(result.attrs['strain_measure'])]}; of triangles from their corners"),
+            ("strain formulation", f"{_STRAIN.get(measure, measure)}; of triangles from their corners"),
             *_noise_floors(result, rig.get("noise_floor"), window, gauge),
         ]
     return rows

@@ -23,6 +23,7 @@ from fingerflow.schema.rounding import format_uncertainty
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
 PRINTED = "moved by less than 40 µm"
+_STUCK = ("stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio")
 
 
 def draw_motion(axes: Axes, result: xr.Dataset, frame: int) -> Axes:
@@ -77,10 +78,8 @@ def draw_trial(
     collapses = _draw_collapse(axes, load, area, verdict)
     if collapses:
         axes.axhline(verdict.critical_area, color=RED, linewidth=0.8, linestyle=":")
-        deviation = verdict.critical_area_std
-        axes.axhspan(
-            verdict.critical_area - deviation, verdict.critical_area + deviation, color=RED, alpha=0.1, linewidth=0
-        )
+        low, high = (verdict.critical_area + sign * verdict.critical_area_std for sign in (-1, 1))
+        axes.axhspan(low, high, color=RED, alpha=0.1, linewidth=0)
     if fit is not None and fit.identified:
         draw_partial_slip(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
@@ -123,26 +122,17 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
     )
 
 
-def draw_over_time(
-    axes: Axes,
-    time: ArrayLike,
-    stuck_area: ArrayLike,
-    verdict: TrialVerdict,
-    area_std: ArrayLike | None,
-    printed_area: ArrayLike | None,
-) -> Axes:
+def draw_over_time(axes: Axes, result: xr.Dataset, verdict: TrialVerdict) -> Axes:
     """Draw figure 2 d: the stuck area relative to the contact area, d^2, against time (s), with the collapse and the
-    start of full slip that `verdict` states.
-
-    ``area_std`` draws a band of one standard deviation, ``printed_area`` the d^2 of the printed criterion.
+    start of full slip that `verdict` states, a band of one standard deviation, and d^2 by the printed criterion.
     """
-    when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
+    series = {name: np.asarray(result[name], dtype=float) for name in ("time", *_STUCK) if name in result}
+    when, area, spread = series["time"], series["stuck_ratio"], series.get("stuck_ratio_std")
     axes.plot(when, area, color=INK, linewidth=1, label="not slipped")
-    if area_std is not None and np.isfinite(area_std).any():
-        spread = np.asarray(area_std, dtype=float)
+    if spread is not None and np.isfinite(spread).any():
         axes.fill_between(when, area - spread, area + spread, color=INK, alpha=0.15, linewidth=0, label="± 1 deviation")
-    if printed_area is not None:
-        axes.plot(when, np.asarray(printed_area, dtype=float), "--", color=YELLOW, linewidth=1, label=PRINTED)
+    if "printed_stuck_ratio" in series:
+        axes.plot(when, series["printed_stuck_ratio"], "--", color=YELLOW, linewidth=1, label=PRINTED)
     collapses = _draw_collapse(axes, when, area, verdict)
     if verdict.loss_frame >= 0:
         axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")

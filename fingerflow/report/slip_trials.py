@@ -73,10 +73,8 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
     the rule printed in the paper, and the `failed` trials without verdict.
     """
     lines = []
-    for rule, outcomes in (
-        ("", [trial.verdict.outcome for trial in trials]),
-        ("as printed: ", [trial.verdict.printed_outcome for trial in trials]),
-    ):
+    for rule, by_rule in (("", "outcome"), ("as printed: ", "printed_outcome")):
+        outcomes = [getattr(trial.verdict, by_rule) for trial in trials]
         counts = {name: outcomes.count(name) for name in ("vanishes abruptly", "diminishes", "inconclusive")}
         lines.append(rule + ", ".join(f"{name} {count}" for name, count in counts.items()))
     if failed:
@@ -106,26 +104,23 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = F
         files.save(trial_figure(trial, files.width_mm or TWO_COLUMNS_MM), folder, name)
     with figure_style(files.width_mm or ONE_COLUMN_MM):
         figure = new_figure(0.8)
-        draw_trials(
-            figure.subplots(), [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
-        )
+        shown = [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
+        draw_trials(figure.subplots(), shown)
     files.save(figure, folder, "trials")
     return folder
 
 
 def trial_figure(trial: SlipTrial, width_mm: float) -> Figure:
     """Draw a trial: skin motion with stick region, and relative stuck area d^2 against load ratio and against time."""
-    result, verdict = trial.result, trial.verdict
-    area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
+    result, verdict, area = trial.result, trial.verdict, np.asarray(trial.result["stuck_ratio"])
     with figure_style(width_mm):
         figure, parts = row_of_panels(3, width_mm)
         left, middle, right = (part.subplots() for part in parts)
         # Show the last frame of slow loading, as the stick region has almost vanished later.
         frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
         draw_motion(left, result, frame)
-        printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
-        draw_trial(middle, area, load, verdict, trial.fit, printed)
-        draw_over_time(right, result["time"], area, verdict, deviation, printed)
+        draw_trial(middle, area, trial.load_ratio(), verdict, trial.fit, result.get("printed_stuck_ratio"))
+        draw_over_time(right, result, verdict)
     captions = join_captions(parts)
     captions[0] += f" At {float(result['time'][frame]):.2f} s, the end of slow loading."
     describe(figure, "\n".join((f"Trial {verdict_line(replace(trial, name=trial.words))}.", *captions)))

@@ -126,11 +126,10 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     force falls; `curves` is the table `curves.csv` as a DataFrame.
     """
     rows, back = (curves[curves["metric"] == name] for name in (metric, f"{metric}{UNLOADING}"))
-    by_share, of_slip = metric in BY_SHARE, metric == "stuck_ratio"
+    by_share = metric in BY_SHARE
     along = "load_share" if by_share else "normal_force_N"
-    against = (
-        "T/N over that at full slip" if of_slip else "normal force over its largest" if by_share else "normal force"
-    )
+    by_force = "normal force over its largest" if by_share else "normal force"
+    against = "T/N over that at full slip" if metric == "stuck_ratio" else by_force
     conditions, floor = list(dict.fromkeys(rows["condition"])), 0.0 if metric in _NEVER_NEGATIVE else -np.inf
     shown = (NUMBERS | BY_SHARE)[metric]
     # Let the range of the axis follow the means, as the interval of two participants is many times wider.

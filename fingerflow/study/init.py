@@ -171,21 +171,15 @@ results = "results"           # where results, the table of trials and the pages
 """
     if shared:
         return head + "# What a scene file has, for all trials.\n" + _toml_tables(shared, ("scene",))
-    return (
-        head
-        + "# To be filled in: what a scene file has, for all trials.\n"
-        + _as_scene_tables(scene_text(forces="of-each-trial.csv"))
-    )
+    scene = _as_scene_tables(scene_text(forces="of-each-trial.csv"))
+    return f"{head}# To be filled in: what a scene file has, for all trials.\n{scene}"
 
 
 def _as_scene_tables(text: str) -> str:
     """Rewrite a scene file's text as tables below [scene] in a manifest, without keys that each trial sets itself."""
-    lines = []
-    for line in text.splitlines()[2:]:
-        if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):
-            continue
-        lines.append(re.sub(r"^((?:# )?)\[(\w[\w.]*)\]", r"\1[scene.\2]", line))
-    return "\n".join(lines) + "\n"
+    of_trials = ('frames = "frames.cine', 'file = "of-each-trial')
+    shared = "".join(f"{line}\n" for line in text.splitlines()[2:] if not line.startswith(of_trials))
+    return re.sub(r"^((?:# )?)\[(\w[\w.]*)\]", r"\1[scene.\2]", shared, flags=re.MULTILINE)
 
 
 def _toml_tables(values: Mapping[str, Any], above: tuple[str, ...]) -> str:

@@ -238,9 +238,8 @@ def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[Trial
                 f"{entry.origin}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, "
                 f"is also {first}; number the trials"
             )
-        if (
-            first := firsts.setdefault(str({**entry.settings, "forces": 0, "background": 0}), entry.origin)
-        ) != entry.origin:
+        compared = str({**entry.settings, "forces": 0, "background": 0})
+        if (first := firsts.setdefault(compared, entry.origin)) != entry.origin:
             wrong.append(f"{entry.origin}: its recording and settings are those of {first}; name its own recording")
         for name, text in ((PARTICIPANT, entry.participant), (CONDITION, entry.condition)):
             if text != (other := spellings.setdefault((name, spelled_alike(text)), text)):
@@ -252,10 +251,8 @@ def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[Trial
                 f"that number; name one"
             )
     if wrong:
-        more = len(wrong) - _MOST_SHOWN
-        raise FingerflowError(
-            "\n".join(wrong[:_MOST_SHOWN] + ([f"and {more} rows more in {path}"] if more > 0 else []))
-        )
+        rest = [f"and {len(wrong) - _MOST_SHOWN} rows more in {path}"] if len(wrong) > _MOST_SHOWN else []
+        raise FingerflowError("\n".join(wrong[:_MOST_SHOWN] + rest))
     return tuple(entries)
 
 

@@ -32,15 +32,12 @@ class Summary:
         """Return a text with one line of counts, and one line for each failed trial."""
         counts = Counter(outcome.status for outcome in self.outcomes.values())
         left = self.planned - len(self.outcomes)
-        lines = [
-            f"{counts[MEASURED]} trials measured, {counts[FAILED]} failed, {self.skipped} were done already"
-            + (f", {left} not run" if left else "")
-        ]
-        lines += [
-            f"  {name}: {outcome.reason}{' (is tried again by the next run)' if outcome.passing else ''}"
-            for name, outcome in self.outcomes.items()
-            if outcome.status == FAILED
-        ]
+        rest = f", {left} not run" if left else ""
+        lines = [f"{counts[MEASURED]} trials measured, {counts[FAILED]} failed, {self.skipped} were done already{rest}"]
+        for name, outcome in self.outcomes.items():
+            if outcome.status == FAILED:
+                again = " (is tried again by the next run)" if outcome.passing else ""
+                lines.append(f"  {name}: {outcome.reason}{again}")
         return "\n".join(lines + ([f"stopped: {self.interrupted}"] if self.interrupted else []))
 
 

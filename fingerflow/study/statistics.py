@@ -95,16 +95,12 @@ def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     differences = sample.trials
     values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
     trials = replace(differences, metrics=values)
+    related = [name for name in ("strain", "strain_energy", "curl") if values.keys() >= {name, _FIRST}]
+    correlations = {name: observer.pearson(values[_FIRST], values[name], trials.participant) for name in related}
     statistics = {
         "counted": {"trials": sample.number, "rules": sample.rules, "used": sample.used},
         "by_condition": _anovas(trials, trials.condition),
-        "correlations": _corrected(
-            {
-                name: observer.pearson(trials.metrics[_FIRST], trials.metrics[name], trials.participant)
-                for name in ("strain", "strain_energy", "curl")
-                if name in trials.metrics and _FIRST in trials.metrics
-            }
-        ),
+        "correlations": _corrected(correlations),
         "groups": _groups(differences, resamples),
     }
     if sample.answered:
@@ -136,10 +132,9 @@ def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _anovas(trials: observer.Trials, groups: NDArray[Any]) -> dict[str, dict[str, Any]]:
-    tests = _corrected(
-        {name: observer.repeated_anova(values, groups, trials.participant) for name, values in trials.metrics.items()}
-    )
-    for name, values in trials.metrics.items():
+    who, metrics = trials.participant, trials.metrics
+    tests = _corrected({name: observer.repeated_anova(values, groups, who) for name, values in metrics.items()})
+    for name, values in metrics.items():
         tests[name]["as_printed"] = asdict(observer.one_way_anova(values, groups))
     return tests
 
@@ -150,7 +145,7 @@ def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
     summaries = observer.observe(replace(without, metrics=shown), permutations=resamples)
     areas = _corrected({name: summary.auc for name, summary in summaries.items()})
     metrics = {}
-    first = without.split(_FIRST) if _FIRST in without.metrics else None
+    first = (without.split(_FIRST), without.participants()) if _FIRST in without.metrics else None
     for name, summary in summaries.items():
         metrics[name] = {
             "d_prime": summary.d_prime,
@@ -160,9 +155,7 @@ def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
             "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
-            metrics[name]["beside_divergence"] = observer.compare_auc(
-                without.split(name), first, without.participants()
-            )
+            metrics[name]["beside_divergence"] = observer.compare_auc(without.split(name), *first)
     return {"left_out": without.left_out, "rule": without.rule, "metrics": metrics}
 
 
@@ -181,9 +174,8 @@ def _force_rate_rows(trials: observer.Trials) -> Any:
         return {"reason": "needs the rate of the force and conditions that are numbers"}
     small = trials.condition <= _LARGEST_AMPLITUDE
     rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
-    regression = observer.clustered_regression(
-        rate[small], trials.answer[small], trials.condition[small], trials.participant[small]
-    )
+    columns = rate, trials.answer, trials.condition, trials.participant
+    regression = observer.clustered_regression(*(column[small] for column in columns))
     return {**asdict(regression), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 

@@ -50,12 +50,8 @@ def write_tables(manifest: Manifest) -> tuple[Path, Path]:
     trials_path, curves_path = folder / "trials.parquet", folder / "curves.csv"
     table = pa.Table.from_pandas(frame, preserve_index=False)
     described = NUMBERS | FACTS | DIFFERENCES
-    fields = [
-        column.with_metadata({"units": variable.units, "long_name": variable.long_name})
-        if (variable := described.get(column.name))
-        else column
-        for column in table.schema
-    ]
+    about = {name: {"units": column.units, "long_name": column.long_name} for name, column in described.items()}
+    fields = [column.with_metadata(about.get(column.name)) for column in table.schema]
     table = table.cast(pa.schema(fields, metadata=table.schema.metadata))
     write_atomically(trials_path, lambda part: parquet.write_table(table, part))
     write_atomically(folder / "trials.csv", lambda part: frame.map(quoted_cell).to_csv(part, index=False))

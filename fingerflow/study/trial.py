@@ -8,6 +8,7 @@ import platform
 import time
 import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
@@ -132,10 +133,8 @@ def _set_up_worker(threads: int) -> None:
 def _machine() -> dict[str, Any]:
     versions = {"fingerflow": __version__, "python": platform.python_version()}
     for name in _VERSIONS:
-        try:
+        with suppress(PackageNotFoundError):
             versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return {
         "versions": versions,
         "code": all_codes(),

@@ -98,10 +98,8 @@ class Draft:
         """
         problems = SceneCheck(self.values(), self.path.parent, "process").problems()
         # The remedy of a missing key addresses those who edit the file by hand.
-        texts = [_NEEDED.get(key, "is needed") if texts == MISSING else reword(texts) for key, texts in problems]
-        return [
-            {"key": key, "field": field_name(key), "said": text} for (key, _), text in zip(problems, texts, strict=True)
-        ]
+        said = ((key, _NEEDED.get(key, "is needed") if text == MISSING else reword(text)) for key, text in problems)
+        return [{"key": key, "field": field_name(key), "said": text} for key, text in said]
 
     def scene(self) -> Scene:
         """Return the scene that the draft describes; raise FingerflowError if it is invalid."""

@@ -16,13 +16,11 @@ def forms() -> dict[str, dict[str, Any]]:
 
     Views are not among them, as they are drawn.
     """
-    return {
-        name: {
-            "help": table.help,
-            "keys": [_form(key, entry) for key, entry in table.keys.items() if isinstance(entry, SceneKey)],
-        }
-        for name, table in SCENE.items()
-    }
+    tables = {}
+    for name, table in SCENE.items():
+        keys = [_form(key, entry) for key, entry in table.keys.items() if isinstance(entry, SceneKey)]
+        tables[name] = {"help": table.help, "keys": keys}
+    return tables
 
 
 def field_name(key: str) -> str:

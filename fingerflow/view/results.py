@@ -25,6 +25,7 @@ _SAMPLED = 24  # number of frames that set the range of colours
 _RANGE = 0.96  # quantile of the values at the end of the range of colours
 _ARROW_PX = 40  # px, drawn length of the largest displacement
 _PLACES = ("position", "position_px")  # variables drawn as positions, not as colours
+_REGIONS = ("gross_contact_region", "stuck_region")
 Values = NDArray[np.floating]
 
 
@@ -91,18 +92,12 @@ class Results:
         numbers = {name: values[frame] for name, values in self._courses.items()}
         numbers["time"], numbers["text"] = float(data["time"][frame]), self._text_of_frame(frame)
         numbers |= {name: self._row(name, frame) for name in ("ellipse_center", "ellipse_semi_axes") if name in data}
-        arrays: dict[str, Array] = {}
-        if "position" in data:
-            arrays["position"] = self._row("position", frame).astype(np.float32)
-            arrays["status"] = self._row("status", frame).astype(np.uint8)
-        if "displacement" in data:
-            arrays["displacement"] = self._row("displacement", frame).astype(np.float32)
-        if "principal_angle" in data and shown is not None and shown.startswith("principal_strains"):
-            arrays["principal_angle"] = self._row("principal_angle", frame).astype(np.float32)
-        for name in ("gross_contact_region", "stuck_region"):
-            if name in data:
-                arrays[name] = self._row(name, frame).astype(np.uint8)
-                numbers[name] = {key: float(data[name].attrs[key]) for key in ("cell_mm", "first_cell_mm")}
+        names = [*(("position", "status") if "position" in data else ()), "displacement", *_REGIONS]
+        names += ["principal_angle"] if shown is not None and shown.startswith("principal_strains") else []
+        kinds = {name: np.uint8 if name in ("status", *_REGIONS) else np.float32 for name in names if name in data}
+        arrays: dict[str, Array] = {name: self._row(name, frame).astype(kind) for name, kind in kinds.items()}
+        for name in arrays.keys() & {*_REGIONS}:
+            numbers[name] = {key: float(data[name].attrs[key]) for key in ("cell_mm", "first_cell_mm")}
         if shown is not None:
             arrays["shown"] = self._frame_values(shown, frame).astype(np.float32)
         return numbers, arrays
@@ -118,9 +113,8 @@ class Results:
             if "flag_meanings" in attributes:
                 text[name] = str(attributes["flag_meanings"]).split()[values[frame]].replace("_", " ")
             elif not name.endswith(("_std", "_rate")):
-                text[name] = format_uncertainty(
-                    factor * values[frame], np.nan if spread is None else factor * spread[frame]
-                )
+                deviation = np.nan if spread is None else factor * spread[frame]
+                text[name] = format_uncertainty(factor * values[frame], deviation)
         return text
 
     def triangles(self) -> NDArray[np.int32]:
@@ -162,11 +156,8 @@ class Results:
             values = np.concatenate([self._frame_values(key, int(k)).ravel() for k in frames])
             values = values[np.isfinite(values)]
             low, high = np.quantile(values, (1 - _RANGE, _RANGE)) if values.size else (0.0, 1.0)
-            if low < 0:
-                high = max(-low, high)
-                low = -high
-            else:
-                low = 0.0
+            high = max(-low, high)
+            low = -high if low < 0 else 0.0
             self._ranges[key] = (float(low), float(high) if high > low else float(low) + 1.0)
         return self._ranges[key]
 
@@ -179,9 +170,8 @@ class Results:
             columns |= self._column(key, key, self.course(key))
         if point_key and len(points):
             points_named = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
-            columns |= self._column(
-                point_key, f"{point_key} of {points_named}", nanmedian(self.point_courses(point_key, points))
-            )
+            median = nanmedian(self.point_courses(point_key, points))
+            columns |= self._column(point_key, f"{point_key} of {points_named}", median)
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:

@@ -31,6 +31,10 @@ from fingerflow.view.session import Session
 
 _HOST = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page")
+# Requests that a method of the session answers, whose name has _ for /.
+_READ = "ready setup folder frame points forces progress result result/frame result/range result/triangles"
+_SENT = "edit calibrate write process end report result/courses result/history result/table"
+_OF_SESSION = [(method, path) for method, paths in (("GET", _READ), ("POST", _SENT)) for path in paths.split()]
 _BINARY, _CSV = "application/octet-stream", "text/csv; charset=utf-8"
 _REPORT_MAY = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
@@ -141,30 +145,11 @@ def application(session: Session) -> Starlette:
         return Route(path, endpoint, methods=[method])
 
     routes = [
-        route("/api/ready", session.ready),
+        *(route(f"/api/{path}", getattr(session, path.replace("/", "_")), method) for method, path in _OF_SESSION),
         route("/api/variables", _variables),
         route("/api/percent", _switch_unit, "POST"),
-        route("/api/setup", session.setup),
-        route("/api/folder", session.folder),
-        route("/api/frame", session.frame),
-        route("/api/points", session.points),
-        route("/api/forces", session.forces),
         route("/api/calibration.png", calibration),
-        route("/api/edit", session.edit, "POST"),
-        route("/api/calibrate", session.calibrate, "POST"),
-        route("/api/write", session.write, "POST"),
-        route("/api/process", session.process, "POST"),
-        route("/api/end", session.end, "POST"),
-        route("/api/report", session.report, "POST"),
-        route("/api/progress", session.progress),
         route(f"/{session.report_name}", report),
-        route("/api/result", session.result),
-        route("/api/result/frame", session.result_frame),
-        route("/api/result/range", session.result_range),
-        route("/api/result/triangles", session.triangles),
-        route("/api/result/courses", session.courses, "POST"),
-        route("/api/result/history", session.history, "POST"),
-        route("/api/result/table", session.table, "POST"),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
     errors = (FingerflowError, OSError, ValidationError)

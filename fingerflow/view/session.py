@@ -331,16 +331,16 @@ class Session:
         """Return the limits of the colour scale for a key (variable, or variable:component)."""
         return {"key": key, "range": self._opened_result().value_range(key)}
 
-    def triangles(self) -> bytes:
+    def result_triangles(self) -> bytes:
         """Return the corners of the result's triangles as packed bytes."""
         return packed({}, {"triangles": self._opened_result().triangles()})
 
-    def courses(self, keys: Sequence[str]) -> bytes:
+    def result_courses(self, keys: Sequence[str]) -> bytes:
         """Return time series of the result for the variables or components that keys name, as packed bytes."""
         result = self._opened_result()
         return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
-    def history(self, key: str, points: list[Point]) -> bytes:
+    def result_history(self, key: str, points: list[Point]) -> bytes:
         """Return the time series of a variable at one point with its status, or the median over several points, with
         the number of points at which it is known, as packed bytes.
         """
@@ -351,7 +351,7 @@ class Session:
             arrays["status"] = result.point_courses("status", points)[:, 0].astype(np.uint8)
         return packed({"key": key, "points": points}, arrays)
 
-    def table(
+    def result_table(
         self, of: str, frame: int = 0, shown: str | None = None, keys: Sequence[str] = (), points: Sequence[Point] = ()
     ) -> str:
         """Return CSV text of the time series, or of the frame, that the page displays; with the time series `keys` the

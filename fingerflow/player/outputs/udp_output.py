@@ -21,11 +21,10 @@ class Datagrams:
         if not host or not port.isdigit() or not 0 < int(port) < 65536:
             raise PlayerError(f"{address!r} is no HOST:PORT")
         try:
-            family, socket_type, protocol, _, peer = socket.getaddrinfo(
-                host.strip("[]"), int(port), type=socket.SOCK_DGRAM
-            )[0]
+            addresses = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)
         except OSError as error:
             raise PlayerError(f"the host {host!r} is not known here ({error.strerror})") from None
+        family, socket_type, protocol, _, peer = addresses[0]
         self._socket = socket.socket(family, socket_type, protocol)
         self._peer, self._encode = peer, encode
         self.close = self._socket.close

@@ -69,8 +69,7 @@ def read_table(path: Path) -> ForceTable:
         numbers = _numbers(body, separator, len(names))
     except ValueError as error:
         raise FingerflowError(f"{path}: {_fault(body, separator, names) or first_line(error)}") from None
-    for name, column in zip(names, numbers.T, strict=True):
-        table.columns[name] = np.ascontiguousarray(column)
+    table.columns = dict(zip(names, map(np.ascontiguousarray, numbers.T), strict=True))
     return table
 
 

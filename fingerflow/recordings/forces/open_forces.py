@@ -18,16 +18,8 @@ from fingerflow.recordings.forces.forces import Forces
 from fingerflow.recordings.guard.file_checks import reading
 from fingerflow.schema.text_file import check_file
 
-READER_OF = {
-    ".csv": "delimited_text",
-    ".txt": "delimited_text",
-    ".tsv": "delimited_text",
-    ".lvm": "delimited_text",
-    ".h5": "hdf5_forces",
-    ".hdf5": "hdf5_forces",
-    ".mat": "matlab_forces",
-    ".tdms": "tdms",
-}
+READER_OF = dict.fromkeys((".csv", ".txt", ".tsv", ".lvm"), "delimited_text")
+READER_OF |= {".h5": "hdf5_forces", ".hdf5": "hdf5_forces", ".mat": "matlab_forces", ".tdms": "tdms"}
 TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
 TO_NEWTON |= {"g": 9.80665e-3, "gf": 9.80665e-3, "kgf": 9.80665}  # with standard gravity (CGPM 1901), exact
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
@@ -78,13 +70,11 @@ def open_forces(
     if time_column is None:  # times follow from the sample rate and the number of samples
         count = len(table.columns[next(iter(selected.values()))])
         times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
-    values: dict[str, NDArray[np.float64]] = {}
-    canonical: dict[str, str] = {}
-    scales: dict[str, float] = {}
-    for name, column in selected.items():
-        is_length = column in {_name(table, length) for length in lengths}
-        factor, canonical[name] = _unit(table, column, column == trigger, is_length)
-        values[name], scales[name] = table.columns[column] * factor, factor
+    long = {_name(table, length) for length in lengths}
+    in_unit = {name: _unit(table, column, column == trigger, column in long) for name, column in selected.items()}
+    scales = {name: factor for name, (factor, _) in in_unit.items()}
+    canonical = {name: unit for name, (_, unit) in in_unit.items()}
+    values = {name: table.columns[column] * scales[name] for name, column in selected.items()}
     of_trigger = next((name for name, column in selected.items() if column == trigger), None)
     return Forces(location, times, values, canonical, of_trigger, scales=scales, warnings=table.warnings)
 
@@ -213,7 +203,6 @@ def holds_forces(path: str | PathLike[str]) -> bool:
     reader = READER_OF.get(location.suffix.lower())
     if reader != "hdf5_forces":
         return reader is not None
-    check_file(location)
     with reading(location, "HDF5"):
         dimensions: list[int] = import_module("fingerflow.recordings.forces.hdf5_forces").dimensions(location)
     return 3 not in dimensions
@@ -227,11 +216,8 @@ def force_facts(path: str | PathLike[str]) -> dict[str, Any]:
     unreadable.
     """
     table = _read_table(Path(path))
-    rates = [
-        _rate(table.columns[name] * TO_SECONDS.get(table.units.get(name, "s"), math.nan))
-        for name in table.columns
-        if _is_time(name)
-    ]
+    ticks = {name: TO_SECONDS.get(table.units.get(name, "s"), math.nan) for name in filter(_is_time, table.columns)}
+    rates = [_rate(table.columns[name] * tick) for name, tick in ticks.items()]
     columns = {}
     for name, data in table.columns.items():
         finite = data[np.isfinite(data)]

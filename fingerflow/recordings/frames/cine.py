@@ -242,10 +242,8 @@ def _times(
     numbers count from the trigger, but in some cameras numbers and clock disagree by minutes.
     """
     if len(stamps) < 2 or np.any(np.diff(stamps) <= 0):
-        unusable = (
-            ["the camera's time stamps do not increase: times are from the frame rate"] if len(stamps) > 1 else []
-        )
-        return None, rate, unusable
+        unusable = "the camera's time stamps do not increase: times are from the frame rate"
+        return None, rate, [unusable] * (len(stamps) > 1)
     warnings = []
     steps = np.diff(stamps)
     regular = steps <= 1.5 * np.median(steps)

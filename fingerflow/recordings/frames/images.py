@@ -95,9 +95,8 @@ def _read_image(path: Path) -> Frames:
             # Read the file with NumPy, since cv2.imread fails silently for names outside the system's code page.
             image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
     except (FingerflowError, OSError) as error:
-        raise DamagedFrame(
-            str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
-        ) from error
+        reason = str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
+        raise DamagedFrame(reason) from error
     if pages != 1:
         raise FingerflowError(f"{path}: has {pages} pages; in a folder of images each file is one frame")
     if image.ndim == 3:
@@ -137,12 +136,11 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
         if len({_NUMBER.sub("", file.stem) for file in files}) > 1:
             return list(files), (unlike,)
         return list(files), (several,) if len(files) == math.prod(counts) > max(counts, default=0) else ()
-    whole = all(number == int(number) for number in numbers)
     decimals = (
         f"the names of the images, as {files[0].name}, have decimal numbers, which order them: if these are times, "
         "they are not used; give the frame rate in recording.frame_rate"
     )
-    warnings = () if whole else (decimals,)
+    warnings = (decimals,) * any(number != int(number) for number in numbers)
     finest = Decimal(1).scaleb(min(int(number.normalize().as_tuple().exponent) for number in numbers))
     counts = [int(number / finest) for number in numbers]
     steps = np.diff(counts)

@@ -53,9 +53,8 @@ def open_frames(path: Path) -> Recording:
             if isinstance(frames, np.ndarray):
                 return Recording(description, FrameFile(description, frames))
             opened.pop_all()
-            return Recording(
-                description, FrameFile(description, partial(_page, frames, description.frame_shape), file.close)
-            )
+            pages = partial(_page, frames, description.frame_shape)
+            return Recording(description, FrameFile(description, pages, file.close))
     finally:
         logger.removeFilter(collect)
 
@@ -176,23 +175,21 @@ def _describe(
         warnings.append(f"truncated or damaged: frames after the last of {whole} may be missing ({complaints[0]})")
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         warnings.append("the file declares 0 as white: grey values are kept as stored, so larger ones are darker")
-    return (
-        Description(
-            path=path,
-            count=whole,
-            stated_count=count,
-            frame_shape=(height, width),
-            dtype=dtype,
-            bit_depth=page.bitspersample,
-            frame_rate=_rate(imagej, ome),
-            lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
-            unreadable=damaged,
-            orientation=str(page.tags.valueof("Orientation", 1)),
-            warnings=tuple(warnings),
-            metadata={"axes": stack.axes},
-        ),
-        frames,
+    description = Description(
+        path=path,
+        count=whole,
+        stated_count=count,
+        frame_shape=(height, width),
+        dtype=dtype,
+        bit_depth=page.bitspersample,
+        frame_rate=_rate(imagej, ome),
+        lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
+        unreadable=damaged,
+        orientation=str(page.tags.valueof("Orientation", 1)),
+        warnings=tuple(warnings),
+        metadata={"axes": stack.axes},
     )
+    return description, frames
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:

@@ -45,15 +45,17 @@ def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
     :func:`check_in_child_process`, and where the file cannot be read.
     """
     answer = check_in_child_process(path, "MATLAB")
-    return dict(_decode_json(answer or child_reader.as_json(child_reader.read_matlab(str(path)))))
+    return dict(answer or _decoded(json.dumps(child_reader.as_json(child_reader.read_matlab(str(path))))))
 
 
-def _decode_json(value: Any) -> Any:
-    if isinstance(value, dict):
-        if ".npy" in value:
-            return np.load(io.BytesIO(base64.b64decode(value[".npy"])), allow_pickle=False)
-        return {name: _decode_json(item) for name, item in value.items()}
-    return value
+def _decoded(text: str) -> Any:
+    """Return the value of a JSON text, with the arrays that `child_reader.as_json` has coded."""
+
+    def array(entries: dict[str, Any]) -> Any:
+        coded = entries.get(".npy")
+        return entries if coded is None else np.load(io.BytesIO(base64.b64decode(coded)), allow_pickle=False)
+
+    return json.loads(text, object_hook=array)
 
 
 class _ChildProcess:
@@ -130,7 +132,7 @@ class _ChildProcess:
             return None
         finally:
             limit.cancel()
-        return json.loads(answer) if answer.endswith("\n") else None
+        return _decoded(answer) if answer.endswith("\n") else None
 
     def close(self) -> None:
         if self._process is not None and self._owner == os.getpid():
