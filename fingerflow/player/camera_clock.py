@@ -1,10 +1,9 @@
 """Clock of a camera on the time axis of this computer, from the time stamps and the arrivals of its frames."""
 
-import logging
 import math
 import time
 
-log = logging.getLogger("fingerflow.player")
+from fingerflow.player.logged_warnings import log
 
 #: Unix time, s, at `time.perf_counter()` 0. It is read once at the start, so that a step of the system clock shifts no
 #: latency.

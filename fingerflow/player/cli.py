@@ -22,9 +22,7 @@ _COMPUTING = ("engine", "provider", "threads")  # options that a benchmark heeds
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which a summary of a stream is recognised
 
 
-def main(
-    arguments: list[str] | None = None, prog: str | None = None, forces_of: ReadForces = lambda scene: None
-) -> int:
+def main(arguments: list[str] | None = None, prog: str | None = None, forces_of: ReadForces | None = None) -> int:
     """Run the player with command-line arguments and return the exit status.
 
     The status is 0 at the source's end, 2 after an error of the user, 130 or 143 after Ctrl-C or SIGTERM.
@@ -46,7 +44,7 @@ def main(
         return 2
 
 
-def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
+def _stream(options: argparse.Namespace, forces_of: ReadForces | None) -> int:
     if options.json is not None and not _may_replace(options.json):
         raise PlayerError(f"{options.json}: exists and is no summary of a stream; give --json another name")
     player = open_player(options, forces_of)

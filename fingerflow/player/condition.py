@@ -39,10 +39,8 @@ class Condition:
         self.text = text
         self.name = parts[1]
         if self.name not in variables:
-            raise PlayerError(
-                f"there is no live value {self.name!r}; {did_you_mean(self.name, variables)}there are "
-                f"{', '.join(variables)}"
-            )
+            remedy = f"{did_you_mean(self.name, variables)}there are {', '.join(variables)}"
+            raise PlayerError(f"there is no live value {self.name!r}; {remedy}")
         self._compare = _COMPARE[parts[2]]
         factor = _factor(variables[self.name], parts[5])
         try:

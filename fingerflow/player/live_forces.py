@@ -1,7 +1,6 @@
 """Forces of the frames of a stream: recorded with them, or measured by a live sensor."""
 
 import bisect
-import logging
 import math
 import threading
 from collections import deque
@@ -10,9 +9,8 @@ from typing import NamedTuple
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError, first_line
+from fingerflow.player.logged_warnings import log
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor
-
-log = logging.getLogger("fingerflow.player")
 
 _REMEMBERED = 4096  # largest number of samples kept
 _CLOSE_BY = 0.05  # s, largest time between a frame and its sample; with more the force is NaN

@@ -6,7 +6,7 @@ from dataclasses import replace
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.records import RecordLayout
-from fingerflow.schema.variable_record import LABELS, Variable
+from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import FRAME, VARIABLES
 
 _STAMPED = {"frame", "time"}  # fields of a record that are in the stamp of a message already
@@ -28,9 +28,7 @@ class LiveValues:
                 self._places[name] = name, ()
             elif len(dims) == 2 and dims[1] in LABELS:
                 self._places |= {f"{name}_{label}": (name, index) for index, label in enumerate(LABELS[dims[1]])}
-        self.variables: dict[str, Variable] = {
-            name: replace(VARIABLES[field], name=name) for name, (field, _) in self._places.items()
-        }
+        self.variables = {name: replace(VARIABLES[field], name=name) for name, (field, _) in self._places.items()}
 
     def value_units(self, names: Sequence[str] | None) -> dict[str, str]:
         """Return the units of the live values with these names, or of all for None, by name; raise PlayerError for an

@@ -1,9 +1,10 @@
-"""Collection of the warnings of the log, which become a part of the results."""
+"""Log of the player, and collection of its warnings, which become a part of the results."""
 
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+log = logging.getLogger("fingerflow.player")
 _MOST = 100  # of the same stream, each only once
 
 
@@ -18,9 +19,9 @@ def logged_warnings() -> Iterator[list[str]]:
             if sentence not in sentences and len(sentences) < _MOST:
                 sentences.append(sentence)
 
-    collector, log = Collector(logging.WARNING), logging.getLogger("fingerflow")
-    log.addHandler(collector)
+    collector, package = Collector(logging.WARNING), logging.getLogger("fingerflow")
+    package.addHandler(collector)
     try:
         yield sentences
     finally:
-        log.removeHandler(collector)
+        package.removeHandler(collector)

@@ -1,8 +1,7 @@
 """Opening of a stream: from the options of the player to a `Player` with source, engine, outputs and results folder."""
 
-import argparse
-import logging
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -19,7 +18,7 @@ from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Slot
 from fingerflow.player.live_forces import FrameForces, LiveForces, SensorForces
 from fingerflow.player.live_values import LiveValues
-from fingerflow.player.logged_warnings import logged_warnings
+from fingerflow.player.logged_warnings import log, logged_warnings
 from fingerflow.player.options import OUTPUTS, SENSORS
 from fingerflow.player.outputs.callback_output import CallbackOutput, OnFrame
 from fingerflow.player.played import choose_input
@@ -31,14 +30,10 @@ from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.tracker.frame_tracker import StreamTracker
 
-log = logging.getLogger("fingerflow.player")
-
 ReadForces = Callable[[Path], LiveForces | None]
 
 
-def open_player(
-    options: argparse.Namespace, forces_of: ReadForces = lambda scene: None, on_frame: OnFrame | None = None
-) -> Player:
+def open_player(options: Namespace, forces_of: ReadForces | None = None, on_frame: OnFrame | None = None) -> Player:
     """Open the bundle, frame source, force sensor, outputs and results folder that the options name, and return a
     player that is ready to run.
 
@@ -102,7 +97,7 @@ def open_player(
             if options.forces is not None:
                 forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)
                 opened.callback(forces.close)
-            elif played.forces_in is not None:
+            elif played.forces_in is not None and forces_of is not None:
                 forces = forces_of(played.forces_in)
             layout = RecordLayout(bundle.points, forces.names if forces else ())
             header |= {"record_bytes": layout.dtype.itemsize, "fields": layout.fields}
@@ -124,7 +119,7 @@ def open_player(
         )
 
 
-def _destinations(options: argparse.Namespace, values: LiveValues, on_frame: OnFrame | None) -> Iterator[Destination]:
+def _destinations(options: Namespace, values: LiveValues, on_frame: OnFrame | None) -> Iterator[Destination]:
     """Open and yield one after another the outputs of live values: the function `on_frame` if there is one, those of
     `--send`, and those of `--then` with their conditions.
     """

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import socket
 import sys
 import threading
@@ -22,9 +21,8 @@ from typing import Any
 
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.live_data import SHOWN, LiveData
+from fingerflow.player.logged_warnings import log
 from fingerflow.player.page_token import HEADER, is_token, new_token
-
-log = logging.getLogger("fingerflow.player")
 
 _TIMEOUT = 5.0  # s to wait for data from a client, or for a client to accept a response; the page polls every 66 ms
 _REQUEST = 10.0  # s, longest time for a whole request, however slowly its bytes come

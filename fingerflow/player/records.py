@@ -11,12 +11,9 @@ from fingerflow.schema.variables import FRAME, TRACK_STATUS, VARIABLES
 from fingerflow.tracker.frame_results import RESULTS
 
 # Variables of a record that the player adds to those of the tracker.
-_OWN = (
-    Variable(
-        "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
-    ),
-    *(VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
-)
+_NUMBER = "number of the frame as it came in, or in its file, from 0; gaps are dropped frames"
+_OF_STREAM = ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")
+_OWN = (Variable("frame", FRAME, "", _NUMBER, "i8"), *(VARIABLES[name] for name in _OF_STREAM))
 _NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
 _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "b1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
 

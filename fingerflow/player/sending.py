@@ -1,7 +1,6 @@
 """Sending of live values: one thread per output, so that a slow output delays neither the stream nor other outputs."""
 
 import contextlib
-import logging
 import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,9 +10,8 @@ from fingerflow.player.camera_clock import unix_now
 from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Channel
 from fingerflow.player.latency import Latencies
+from fingerflow.player.logged_warnings import log
 from fingerflow.player.outputs.output import LiveFrame, Output
-
-log = logging.getLogger("fingerflow.player")
 
 _WAITING = 256  # largest number of queued messages
 _CATCH_UP = 0.01  # s within which all queued messages must be sent; if it takes longer, only the newest is sent
@@ -35,6 +33,9 @@ class Destination(NamedTuple):
     condition: Condition | None = None
 
 
+Triggered = Callable[[int, str, float], None]  # called with the frame's number, the condition, the latency in s
+
+
 class Sender:
     """Thread that sends the live values of frames to one output.
 
@@ -46,19 +47,14 @@ class Sender:
     Args:
         to: where to send.
         waits: whether the stream waits for the output instead of overtaking frames, as it may for a file.
-        triggered: called after each message of a condition, with the frame's number, the condition, the latency in s.
+        triggered: called after each message of a condition.
 
     Attributes:
         sent, failed: counts of messages. What was not sent when the stream ended has failed.
         latencies: from the camera time of a frame to the end of its sending.
     """
 
-    def __init__(
-        self,
-        to: Destination,
-        waits: bool = False,
-        triggered: Callable[[int, str, float], None] = lambda frame, condition, latency: None,
-    ) -> None:
+    def __init__(self, to: Destination, waits: bool = False, triggered: Triggered | None = None) -> None:
         self.name, self._output, self._values, self._condition = to
         self._waits, self._triggered = waits, triggered
         self._messages: Channel[LiveFrame] = Channel(_WAITING)
@@ -161,7 +157,7 @@ class Sender:
         self.sent += 1
         self._fails = False
         self.latencies.add(latency)
-        if self._condition is not None:
+        if self._condition is not None and self._triggered is not None:
             # The event log may be on a full disk, or closed already.
             with contextlib.suppress(FingerflowError, ValueError):
                 self._triggered(frame.number, self._condition.text, latency)

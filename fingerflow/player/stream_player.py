@@ -1,6 +1,5 @@
 """Stream player: the threads of a stream, and the transfer of frames, outcomes and records between threads."""
 
-import logging
 import math
 import sys
 import threading
@@ -22,7 +21,7 @@ from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData
 from fingerflow.player.live_forces import FrameForces
 from fingerflow.player.live_values import LiveValues
-from fingerflow.player.logged_warnings import logged_warnings
+from fingerflow.player.logged_warnings import log, logged_warnings
 from fingerflow.player.outputs.output import FrameStamp
 from fingerflow.player.page_server import serve_page
 from fingerflow.player.played import StreamInput
@@ -35,8 +34,6 @@ from fingerflow.tracker.area_steps import check_cut, cut_shares
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
 from fingerflow.tracker.reseeding import ThresholdSearch
-
-log = logging.getLogger("fingerflow.player")
 
 _STALL_WARNING = 2.0  # s without a frame after which a warning is logged
 _HANGING = 2.0  # s for which a stopped stream waits for its source before it abandons the source

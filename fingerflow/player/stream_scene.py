@@ -64,10 +64,8 @@ def load_scene(path: Path) -> Scene:
         raise PlayerError(str(error)) from None
     for name in ("contact", "topography"):
         if name not in scene.views:
-            raise PlayerError(
-                f"{path}: its kind is {scene.kind!r}, which has no {name} view; a stream plays scenes of a contact "
-                "and a topography view: use `fingerflow process`"
-            )
+            remedy = "a stream plays scenes of a contact and a topography view: use `fingerflow process`"
+            raise PlayerError(f"{path}: its kind is {scene.kind!r}, which has no {name} view; {remedy}")
     if scene.views.contact.region is not None:
         raise PlayerError(
             f"{path}: views.contact.region is of `fingerflow process`; the graphs of a stream look for contact in the "
@@ -75,10 +73,8 @@ def load_scene(path: Path) -> Scene:
         )
     drawn = find_topography(scene).region
     if drawn is not None and drawn.mask is not None:
-        raise PlayerError(
-            f"{path}: views.topography.region is a picture, which a stream does not read; draw it as a polygon or an "
-            "ellipse"
-        )
+        remedy = "draw it as a polygon or an ellipse"
+        raise PlayerError(f"{path}: views.topography.region is a picture, which a stream does not read; {remedy}")
     return scene
 
 

@@ -48,10 +48,8 @@ class FigureFiles:
         """
         names = tuple(dict.fromkeys(name.strip().lower() for name in formats.split(",")))
         if strange := [name for name in names if name not in FORMATS]:
-            raise FingerflowError(
-                f"--format {formats}: {strange[0]!r} is none; give one or more of {', '.join(FORMATS)}, with commas "
-                "between them"
-            )
+            remedy = f"give one or more of {', '.join(FORMATS)}, with commas between them"
+            raise FingerflowError(f"--format {formats}: {strange[0]!r} is none; {remedy}")
         if width is None:
             return cls(names)
         match = _LENGTH.fullmatch(width.strip().lower())

@@ -134,19 +134,15 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
     first = result["position"].values[0]
     lost = ~tracked & np.isfinite(first).all(-1)
     touched = result["in_contact"].values[frame] > 0 if "in_contact" in result else tracked
-    for shown, colour, said_of in (
-        (tracked & touched, TOUCHING, "points in contact" if "in_contact" in result else "points"),
-        (tracked & ~touched, AWAY, "points not in contact"),
+    dot: dict[str, Any] = {"marker": "o", "markersize": 2.2, "markeredgewidth": 0.3, "markeredgecolor": "black"}
+    cross: dict[str, Any] = {"marker": "x", "markersize": 3, "markeredgewidth": 0.6}
+    for places, shown, style, colour, label in (
+        (now, tracked & touched, dot, TOUCHING, "points in contact" if "in_contact" in result else "points"),
+        (now, tracked & ~touched, dot, AWAY, "points not in contact"),
+        (first, lost, cross, RED, "points lost"),
     ):
         if shown.any():
-            axes.plot(
-                *to_pixels(now[shown], matrix).T, "o", color=colour, markersize=2.2, markeredgewidth=0.3,
-                markeredgecolor="black", label=said_of,
-            )  # fmt: skip
-    if lost.any():
-        axes.plot(
-            *to_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label="points lost"
-        )
+            axes.plot(*to_pixels(places[shown], matrix).T, linestyle="", color=colour, label=label, **style)
 
 
 def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:

@@ -41,8 +41,5 @@ def equal_recordings(recordings: Iterable[Path]) -> list[tuple[Path, Path]]:
                 opened.seek(middle.stat().st_size // 2)
                 alike[str(recording).partition("::")[2], sizes, opened.read(_SAMPLE_BYTES)].append(recording)
     pairs = (pair for group in alike.values() for pair in combinations(group, 2))
-    return [pair for pair in pairs if all(map(_same_bytes, *map(files_of, pair)))]
-
-
-def _same_bytes(first: Path, second: Path) -> bool:
-    return cmp(first, second, shallow=False)
+    together = ((pair, zip(*map(files_of, pair), strict=True)) for pair in pairs)
+    return [pair for pair, files in together if all(cmp(first, second, False) for first, second in files)]

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from fingerflow.plot.axes_style import FONT
 from fingerflow.plot.figure_files import settle
@@ -79,23 +80,20 @@ def hover_curves(axes: Axes, count: int) -> dict[str, Any] | None:
     box = axes.get_position()
     unit = _UNIT.search(axes.get_ylabel())
     return {
-        "box": [_rounded(value) for value in (box.x0, 1 - box.y1, box.width, box.height)],
-        "xlim": [_rounded(value) for value in axes.get_xlim()],
-        "ylim": [_rounded(value) for value in axes.get_ylim()],
+        "box": _rounded((box.x0, 1 - box.y1, box.width, box.height)),
+        "xlim": _rounded(axes.get_xlim()),
+        "ylim": _rounded(axes.get_ylim()),
         "label": axes.get_xlabel(),
         "unit": "" if unit is None else unit[1],
-        "x": [_rounded(value) for value in np.asarray(lines[0].get_xdata(), dtype=float)],
+        "x": _rounded(lines[0].get_xdata()),
         "curves": [
-            {
-                "name": str(line.get_label()),
-                "colour": str(line.get_color()),
-                "y": [_rounded(value) for value in np.asarray(line.get_ydata(), dtype=float)],
-            }
+            {"name": str(line.get_label()), "colour": str(line.get_color()), "y": _rounded(line.get_ydata())}
             for line in lines
         ],
     }
 
 
-def _rounded(value: float) -> float | None:
-    """Return a number rounded to five significant digits for JSON, or None (null) if it is not finite."""
-    return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+def _rounded(values: ArrayLike) -> list[float | None]:
+    """Return numbers rounded to five significant digits for JSON, with None (null) for those that are not finite."""
+    numbers = np.asarray(values, dtype=float)
+    return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in numbers]

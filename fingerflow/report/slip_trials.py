@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -92,12 +93,8 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = F
     folder.mkdir(parents=True, exist_ok=True)
     names: list[str] = []
     for trial in trials:
-        stem = name = trial.words
-        number = 1
-        while name in ("trials", *names):
-            number += 1
-            name = f"{stem}-{number}"
-        names.append(name)
+        spellings = chain((trial.words,), (f"{trial.words}-{number}" for number in count(2)))
+        names.append(next(name for name in spellings if name not in ("trials", *names)))
     for name in (*names, "trials"):
         files.keep_others(folder, name, overwrite)
     for trial, name in zip(trials, names, strict=True):

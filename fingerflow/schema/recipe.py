@@ -13,24 +13,9 @@ from fingerflow.schema.scene_tables import ContactCells, EngineSettings, GaugeSe
 from fingerflow.schema.text_file import read_text
 
 GraphName = Literal[
-    "contact",
-    "threshold",
-    "noise",
-    "detect",
-    "spline",
-    "prepare",
-    "renew",
-    "track",
-    "track_few",
-    "support",
-    "correct",
-    "outliers",
-    "search",
-    "windows",
-    "fields",
-    "fields_entered",
-    "fit",
-]
+    "contact", "threshold", "noise", "detect", "spline", "prepare", "renew", "track", "track_few", "support", "correct",
+    "outliers", "search", "windows", "fields", "fields_entered", "fit",
+]  # fmt: skip
 #: Graphs of a bundle, in an order in which an engine can run them.
 GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 _SIDE = number(least=48, most=4096)  # px of a view: counts of pixels are exact in float32 up to 2^24

@@ -146,11 +146,8 @@ class SceneCheck(TableCheck):
     def _check_rules(self) -> None:
         last, first = self.find_value("recording.last_frame"), self.find_value("recording.first_frame")
         if last is not None and first is not None and last < first:
-            self.record_conflict(
-                "recording.last_frame",
-                f"that is before first_frame, {first}; both are included, so give at least {first} or leave last_frame "
-                "out",
-            )
+            remedy = f"both are included, so give at least {first} or leave last_frame out"
+            self.record_conflict("recording.last_frame", f"that is before first_frame, {first}; {remedy}")
         together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
         for key, partner in (("trigger", "trigger_level"), ("trigger_level", "trigger")):
             if f"forces.{key}" in self.given and f"forces.{partner}" not in self.given:
@@ -166,7 +163,10 @@ class SceneCheck(TableCheck):
             self._one_each(f"forces.{name}")
         self._read_calibration()
         self._check_lens()
-        self._inside("stream.region", "views.topography")
+        region, around = map(self._rectangle, ("stream.region", "views.topography"))
+        if region and around and any(part[1] > end - first for part, (first, end) in zip(region, around, strict=True)):
+            size = " x ".join(str(end - first) for first, end in around)
+            self.record_conflict("stream.region", f"it ends beyond the topography view of {size} px; give less")
         for view in KINDS[self.kind].all_views:
             self._one_shape(f"views.{view}.region")
             if view != "contact":
@@ -220,14 +220,6 @@ class SceneCheck(TableCheck):
                 'a scene of the kind "slip" is not corrected for the lens; leave intrinsics and distortion out, or set '
                 'kind = "press" and leave [slip] out',
             )
-
-    def _inside(self, key: str, view: str) -> None:
-        region, around = self._rectangle(key), self._rectangle(view)
-        if region is None or around is None:
-            return
-        height, width = (end - first for first, end in around)
-        if region[0][1] > height or region[1][1] > width:
-            self.record_conflict(key, f"it ends beyond the {_name(view)} view of {height} x {width} px; give less")
 
     def _one_shape(self, key: str) -> None:
         """Record a problem unless a region that is stated has exactly one of its possible keys."""

@@ -76,11 +76,9 @@ def _table_text(name: str, table: SceneKey | SceneTable, values: Mapping[str, An
     for key, entry in table.keys.items():
         value = (values or {}).get(key)
         written = value is not None or (by_default and values is not None)
-        if value is None:
-            value = _sample(entry)
-        if value is None:
-            continue
-        yield _commented(f"{'' if written else '# '}{key} = {toml_value(value)}", _help(entry))
+        value = _sample(entry) if value is None else value
+        if value is not None:
+            yield _commented(f"{'' if written else '# '}{key} = {toml_value(value)}", _help(entry))
 
 
 def _help(entry: SceneKey | SceneTable) -> str:
@@ -95,9 +93,7 @@ def _help(entry: SceneKey | SceneTable) -> str:
 
 def _sample(entry: SceneKey | SceneTable) -> Any:
     """Return the sample value, or else the default, that a new scene file shows for a key."""
-    if isinstance(entry, SceneKey) and entry.sample is None:
-        return entry.default
-    return entry.sample
+    return entry.default if isinstance(entry, SceneKey) and entry.sample is None else entry.sample
 
 
 def _rectangle(view: View) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from fingerflow.kernels.kernel import cores
 _IN_FLIGHT = 3  # tasks per worker submitted at a time: one runs, the others are queued
 _RENEWED_AFTER = 200  # tasks per worker after which all workers are replaced, which releases leaked memory
 _CONNECT = "20s"  # time limit for reaching a scheduler
+_LIBRARIES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # whose threads a worker limits
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
 Task = TypeVar("Task")
@@ -135,10 +136,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             f"a study runs on Dask, which is not installed ({error}): pip install 'dask[distributed]' cryptography"
         ) from error
     logging.getLogger("distributed").setLevel(logging.ERROR)
-    environment: dict[str, Any] = {
-        f"distributed.nanny.pre-spawn-environ.{name}": threads
-        for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    }
+    environment: dict[str, Any] = {f"distributed.nanny.pre-spawn-environ.{name}": threads for name in _LIBRARIES}
     # OpenMP threads spin between operations by default: two of them on a busy machine take four times the processor
     # time and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")

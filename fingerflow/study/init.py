@@ -21,9 +21,9 @@ from fingerflow.schema.text_file import read_text
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.study.dotted_keys import flattened, nested
 from fingerflow.study.manifest import (
-    ANSWER,
     CONDITION,
     FORCES,
+    KNOWN,
     PARTICIPANT,
     RECORDING,
     TRIAL,
@@ -81,7 +81,7 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
                 if value and spelled_alike(value) != spelled_alike(row.get(name, "")):
                     row[name] = value
     columns = (name for row in rows for name in row)
-    names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *columns)))
+    names = list(dict.fromkeys((*KNOWN, *columns)))
     if not any(FORCES in row for row in rows):
         names.remove(FORCES)
     write_text(table, pd.DataFrame(rows, columns=names).map(quoted_cell).to_csv(index=False, lineterminator="\n"))

@@ -23,11 +23,10 @@ from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 from fingerflow.study.dotted_keys import nested
 
 #: Columns of a table of trials that a study reads. A column name with a dot is a key of the scene.
-RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
+KNOWN = RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
     "recording", "forces", "participant", "trial", "condition", "answer",
 )  # fmt: skip
 REFERENCE = "reference"  # column that names the trial of the same participant with which a trial was compared
-KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
 _STUDY_KEYS = ("results", "trials", "answers", "design")
 _MOST_SHOWN = 20  # largest number of wrong rows, and of those without a partner, that are listed; others are counted
@@ -184,10 +183,8 @@ def matching(rows: Sequence[Mapping[str, str]], answers: Path) -> tuple[list[dic
         if key(row) in answer_rows:
             raise FingerflowError(f"{label} is there twice")
         if trials[key(row)] > 1:
-            raise FingerflowError(
-                f"{label} is {trials[key(row)]} trials of the study; give the column {CONDITION} in both tables, or "
-                "number the trials of a participant"
-            )
+            remedy = f"give the column {CONDITION} in both tables, or number the trials of a participant"
+            raise FingerflowError(f"{label} is {trials[key(row)]} trials of the study; {remedy}")
         answer_rows[key(row)] = row
     matched = [answer_rows.get(key(row), {}) for row in rows]
     strays = [
@@ -213,10 +210,8 @@ def spelled_alike(name: str) -> str:
 def _entries(rows: list[dict[str, str]], table: Path, path: Path) -> tuple[TrialEntry, ...]:
     lacking = [name for name in (RECORDING, PARTICIPANT, CONDITION) if name not in rows[0]]
     if lacking:
-        raise FingerflowError(
-            f"{table}: there is no column {', '.join(lacking)}; {did_you_mean(lacking[0], rows[0])}there are "
-            f"{', '.join(rows[0])}"
-        )
+        remedy = f"{did_you_mean(lacking[0], rows[0])}there are {', '.join(rows[0])}"
+        raise FingerflowError(f"{table}: there is no column {', '.join(lacking)}; {remedy}")
     for name in rows[0]:
         if "." in name and not name.startswith("views.") and find_entry(name) is None:
             hint = did_you_mean(name, key_list())
@@ -262,10 +257,8 @@ def _entry(row: Mapping[str, str], label: str, number: str) -> TrialEntry:
             raise FingerflowError(f"{label}: {name} is empty; fill it in, or remove the row")
     answer = row.get(ANSWER, "").lower()
     if answer not in ANSWERS and answer not in NOTHING:
-        raise FingerflowError(
-            f"{label}: answer is {row[ANSWER]!r}; give 1 where the comparison was felt as more slippery, 0 where not, "
-            f"nothing where there is no answer"
-        )
+        remedy = "give 1 where the comparison was felt as more slippery, 0 where not, nothing where there is no answer"
+        raise FingerflowError(f"{label}: answer is {row[ANSWER]!r}; {remedy}")
     settings = {_KEY_OF[name]: row[name] for name in _KEY_OF if row.get(name)}
     settings |= {name: _parse_cell(cell) for name, cell in row.items() if "." in name and cell}
     trial = row.get(TRIAL) or number

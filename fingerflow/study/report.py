@@ -150,26 +150,25 @@ def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
     for entry, (deviation, metric), (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
         folder = manifest.results / entry.name
         measured = values["status"] == MEASURED
-        rows.append(
-            {
-                **vars(entry),
-                "answer": "" if entry.answer is None else "more slippery" if entry.answer else "not",
-                "status": values["status"],
-                "verdict": values["slip_verdict"] or "",
-                "reason": values["reason"],
-                "warnings": (values["warnings"] or "").splitlines() if measured else [],
-                "usable": values["usable_frames"] / values["frames"] if measured else None,
-                "coverage": values["coverage"] if measured and np.isfinite(values["coverage"]) else None,
-                "outlier": deviation if measured else None,
-                "by": NUMBERS[metric].words if metric else "",
-                "page": f"{entry.name}/report.html" if (folder / "report.html").exists() and measured else "",
-                "thumbnail": f"{entry.name}/thumbnail.jpg" if (folder / "thumbnail.jpg").exists() and measured else "",
-                # With standard deviations, NaN where there is none.
-                "values": {
-                    name: NUMBERS[name].shown_values(values.reindex((name, f"{name}_std")).to_numpy(float))
-                    for name in _SHOWN
-                    if name in frame
-                },
-            }
-        )
+        row = {
+            **vars(entry),
+            "answer": "" if entry.answer is None else "more slippery" if entry.answer else "not",
+            "status": values["status"],
+            "verdict": values["slip_verdict"] or "",
+            "reason": values["reason"],
+            "warnings": (values["warnings"] or "").splitlines() if measured else [],
+            "usable": values["usable_frames"] / values["frames"] if measured else None,
+            "coverage": values["coverage"] if measured and np.isfinite(values["coverage"]) else None,
+            "outlier": deviation if measured else None,
+            "by": NUMBERS[metric].words if metric else "",
+            "page": f"{entry.name}/report.html" if (folder / "report.html").exists() and measured else "",
+            "thumbnail": f"{entry.name}/thumbnail.jpg" if (folder / "thumbnail.jpg").exists() and measured else "",
+            # With standard deviations, NaN where there is none.
+            "values": {
+                name: NUMBERS[name].shown_values(values.reindex((name, f"{name}_std")).to_numpy(float))
+                for name in _SHOWN
+                if name in frame
+            },
+        }
+        rows.append(row)
     return sorted(rows, key=lambda row: (row["status"] == MEASURED, -(row["outlier"] or 0.0)))

@@ -6,7 +6,7 @@ values of that paper's supplement.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -142,10 +142,8 @@ class Presses:
 
     def pairs(self) -> "tuple[Presses, Presses]":
         """Return the reference presses and the comparison presses, in the same order."""
-        reference, comparison = (
-            Presses(*(getattr(self, field.name)[first::2] for field in fields(self))) for first in (0, 1)
-        )
-        return reference, comparison
+        columns = vars(self).values()
+        return Presses(*(column[::2] for column in columns)), Presses(*(column[1::2] for column in columns))
 
 
 def draw_presses(design: Design) -> Presses:
@@ -202,7 +200,7 @@ def answer_table(design: Design, reference: Presses, comparison: Presses) -> NDA
 
 def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
     """Return press `number` of a study as a synthetic recording."""
-    press = {field.name: getattr(presses, field.name)[number] for field in fields(presses)}
+    press = {name: values[number] for name, values in vars(presses).items()}
     side, frames_before, contact_time = design.view_px, 2, 0.02
     return ChainPress(
         friction=float(press["friction"]),

@@ -17,11 +17,7 @@ class CallbackOutput:
     """
 
     def __init__(self, function: OnFrame) -> None:
-        self._function = function
-
-    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Call the user's function with the stamp of a frame and its live values by name."""
-        self._function(frame, values)
+        self.send = function
 
     def close(self) -> None:
         """Do nothing, as there is no connection to close."""

@@ -1,16 +1,15 @@
 """Output of live values as a stream of the Lab Streaming Layer; needs the package pylsl."""
 
-import logging
 from collections.abc import Mapping
 
 from fingerflow.player.camera_clock import EPOCH
+from fingerflow.player.logged_warnings import log
 from fingerflow.player.lsl_clock import load_lsl
 from fingerflow.player.outputs.output import FrameStamp
 
 ADDRESS = "lsl:NAME"
 # Name and unit of the channels before the values; the time stamp of a sample is the camera time.
 _STAMPS = {"frame": "", "written": "s"}
-log = logging.getLogger("fingerflow.player")
 
 
 class LslOutlet:

@@ -20,7 +20,7 @@ class CallbackSensor:
     """
 
     def __init__(self, grab: Callable[[], Any]) -> None:
-        self._grab = grab
+        self._grab, self.close = grab, getattr(grab, "close", lambda: None)
 
     def read(self) -> ForceSample | None:
         """Call the user's function, and return its forces as a sample with the time of its return; None if it returns
@@ -32,10 +32,6 @@ class CallbackSensor:
             return None
         values = forces if isinstance(forces, (tuple, list)) else [forces]
         return parse_sample(time.perf_counter(), [float(force) for force in values])
-
-    def close(self) -> None:
-        """Call `close` of the user's function, if it has one."""
-        getattr(self._grab, "close", lambda: None)()
 
 
 def open_address(address: str) -> ForceSensor:

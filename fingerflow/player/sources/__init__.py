@@ -1,6 +1,5 @@
 """Frame sources of a stream: files and folders of frames here, a module of its own for each kind of camera."""
 
-import logging
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
+from fingerflow.player.logged_warnings import log
 from fingerflow.player.named_objects import load_library
 from fingerflow.player.sources.source import RecordedFrames, Source
 from fingerflow.recordings.frames.open_recording import open_recording
@@ -21,7 +21,6 @@ KINDS = (
     "file"
 )
 _RECORDINGS = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
-log = logging.getLogger("fingerflow.player")
 
 
 def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:

@@ -29,7 +29,7 @@ class CameraSource:
     live = True
 
     def __init__(self, grab: Callable[[], Any], name: str) -> None:
-        self._grab, self._name = grab, name
+        self._grab, self._name, self.close = grab, name, getattr(grab, "close", lambda: None)
         self.stamp = math.nan
 
     def read(self) -> Array | None:
@@ -54,10 +54,6 @@ class CameraSource:
         if frame is None or isinstance(frame, np.ndarray):
             return frame
         raise self._refused(f"a {type(frame).__name__}")
-
-    def close(self) -> None:
-        """Close the camera."""
-        getattr(self._grab, "close", lambda: None)()
 
     def _refused(self, problem: str) -> PlayerError:
         return PlayerError(

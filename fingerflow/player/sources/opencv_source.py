@@ -21,7 +21,7 @@ class OpenCvCamera:
     def __init__(self, index: str) -> None:
         self._cv2 = load_library("cv2", "opencv-python-headless")
         self._capture = self._cv2.VideoCapture(int(index) if index.isdigit() else index)
-        self.stamp = math.nan
+        self.stamp, self.close = math.nan, self._capture.release
         if not self._capture.isOpened():
             raise PlayerError(f"OpenCV finds no camera {index!r}")
 
@@ -33,10 +33,6 @@ class OpenCvCamera:
         stamp = self._capture.get(self._cv2.CAP_PROP_POS_MSEC) / 1e3
         self.stamp = stamp if stamp > 0 else math.nan  # 0 and -1 mean that the camera has no stamp
         return self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
-
-    def close(self) -> None:
-        """Close the camera."""
-        self._capture.release()
 
 
 open_address = OpenCvCamera

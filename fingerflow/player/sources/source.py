@@ -1,6 +1,5 @@
 """Define the interface of frame sources."""
 
-import logging
 import math
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -8,8 +7,7 @@ from typing import Protocol
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import first_line
-
-log = logging.getLogger("fingerflow.player")
+from fingerflow.player.logged_warnings import log
 
 
 class Source(Protocol):

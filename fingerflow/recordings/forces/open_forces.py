@@ -122,10 +122,8 @@ def _use_clock(table: ForceTable, columns: list[str], time_column: str | None) -
     steps, starts = zip(*clocks.values() or [(1.0, 0.0)], strict=True)
     if max(np.ptp(steps), np.ptp(starts)) > SAME_RATE * min(steps):
         listed = ", ".join(f"{name!r} every {step:g} s from {start:g} s" for name, (step, start) in clocks.items())
-        raise FingerflowError(
-            f"{table.path}: its channels run on different clocks ({listed}); export them with one clock, or leave out "
-            "those of another"
-        )
+        remedy = "export them with one clock, or leave out those of another"
+        raise FingerflowError(f"{table.path}: its channels run on different clocks ({listed}); {remedy}")
     if clocks:
         table.sample_rate, table.start = 1.0 / steps[0], starts[0]
     if time_column is None:

@@ -56,10 +56,8 @@ def open_frames(path: Path) -> Recording:
     count = header.integer("Total Frame")
     whole = min(count, pixels.stat().st_size // frame_bytes)
     if whole == 0:
-        raise FingerflowError(
-            f"{pixels}: holds {pixels.stat().st_size} bytes, not one frame; by {header_path.name} a frame has "
-            f"{frame_bytes} bytes and there are {count}"
-        )
+        stated = f"by {header_path.name} a frame has {frame_bytes} bytes and there are {count}"
+        raise FingerflowError(f"{pixels}: holds {pixels.stat().st_size} bytes, not one frame; {stated}")
     # Only one in "Save Step" recorded frames was saved, so the rate of the saved frames is "Record Rate" / "Save Step".
     if not header.text("Save Step", " ").strip():
         header.warnings += (
