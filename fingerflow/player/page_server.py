@@ -31,11 +31,7 @@ _MOST_BODY = 1 << 20  # bytes of such a body that are read
 _CLIENTS = 16  # largest number of simultaneous connections on which no request with the token has come
 # s for which the server outlives the stream: a page polls 15 times a second, or once a second in the background.
 _LAST_LOOK = 1.2
-_FILES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-}
+_FILES = {"/": ("index.html", "html"), "/page.css": ("page.css", "css"), "/page.js": ("page.js", "javascript")}
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -59,7 +55,10 @@ def serve_page(
     """
     folder = Path(__file__).with_name("page")
     absent = 404, "text/plain", b"not here"
-    fixed = {path: (200, kind, (folder / name).read_bytes()) for path, (name, kind) in _FILES.items()}
+    texts = {
+        path: (f"text/{kind}; charset=utf-8", (folder / name).read_bytes()) for path, (name, kind) in _FILES.items()
+    }
+    fixed = {path: (200, *text) for path, text in texts.items()}
     fixed["/shown"] = 200, "application/json", json.dumps(SHOWN).encode()
 
     class Handler(_Handler):

@@ -87,10 +87,8 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         return StreamInput(scene, name, lambda _: open_camera(camera), glass, dark, size=size)
     file = Path(options.source) if options.source else recorded.frames
     if file is None:
-        raise PlayerError(
-            "no source: give --source synthetic, --source FILE or --camera ADDRESS, or state recording.frames "
-            f"in {path}"
-        )
+        remedy = f"give --source synthetic, --source FILE or --camera ADDRESS, or state recording.frames in {path}"
+        raise PlayerError(f"no source: {remedy}")
     first, frames, forces_in = 0, None, None
     if file.resolve() == recorded.frames:  # range of frames and forces belong to the scene's own recording
         first, forces_in = recorded.first_frame, path if scene.forces is not None else None

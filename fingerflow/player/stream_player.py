@@ -363,10 +363,8 @@ class Player:
                     source, attempt = None, attempt + 1
                     continue
                 except BaseException as error:
-                    raise PlayerError(
-                        f"{self.source_name}: its module ended the stream by {type(error).__name__}; return None after "
-                        "the last frame"
-                    ) from error
+                    problem = f"its module ended the stream by {type(error).__name__}; return None after the last frame"
+                    raise PlayerError(f"{self.source_name}: {problem}") from error
                 self._waiting_since, attempt = None, 0
                 if frame is None:
                     break

@@ -75,8 +75,8 @@ def named_lines(count: int) -> tuple[int, ...]:
 
 def dot_styles(count: int) -> list[dict[str, Any]]:
     """Return keyword arguments of `Axes.plot` for `count` groups of dots, which differ in colour and marker."""
-    colours = colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1)))
-    return [{"color": colours[k], "marker": MARKERS[k % len(MARKERS)], "linestyle": "none"} for k in range(count)]
+    marks = [{"marker": MARKERS[k % len(MARKERS)], "linestyle": "none"} for k in range(count)]
+    return [style | mark for style, mark in zip(line_styles(count, ordered=True), marks, strict=True)]
 
 
 def finished(axes: Axes, caption: str = "") -> Axes:

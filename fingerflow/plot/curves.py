@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
 from fingerflow.plot.axes_style import BAND, BAND_WORDS, GREY, finished, given_or_new, line_styles
-from fingerflow.plot.wording import definition_text
+from fingerflow.plot.captions import definition_text
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]

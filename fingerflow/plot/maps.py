@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
+from fingerflow.plot.captions import frame_text
 from fingerflow.plot.outlines import contact_outline
-from fingerflow.plot.wording import frame_text
 from fingerflow.results.napari_reader import DIVERGING
 from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variable_record import LABELS

@@ -15,9 +15,8 @@ from fingerflow.graphs import ContactGraph
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import RED, YELLOW, given_or_new
-from fingerflow.plot.captions import describe
+from fingerflow.plot.captions import describe, frame_text
 from fingerflow.plot.outlines import Values, contact_outline, matrix_of_view, stuck_outline, to_pixels
-from fingerflow.plot.wording import frame_text
 from fingerflow.recordings import Recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
@@ -98,9 +97,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.generic]) -> NDArray[np.bool_] | None:
     scene = inputs.scene
-    if "contact_threshold" not in result:
-        return None
-    threshold = float(result["contact_threshold"].values[frame])
+    threshold = float(result["contact_threshold"].values[frame]) if "contact_threshold" in result else np.nan
     if not np.isfinite(threshold):
         return None
     view = scene.views.contact

@@ -109,10 +109,8 @@ class Geometry:
     @cached_property
     def lens(self) -> Lens | None:
         """Return the lens by whose distortion positions and areas are corrected; None if none is stated."""
-        calibration = self.calibration
-        if calibration.intrinsics is None:
-            return None
-        return Lens(calibration.intrinsics, calibration.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
+        intrinsics, distortion = self.calibration.intrinsics, self.calibration.distortion
+        return None if intrinsics is None else Lens(intrinsics, distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
 
     @cached_property
     def _transform(self) -> Array:

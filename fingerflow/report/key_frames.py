@@ -29,8 +29,7 @@ def key_frames(result: xr.Dataset) -> list[KeyFrame]:
     if not usable.any():
         return []
     frames: list[KeyFrame] = []
-    pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
-    if pulled:
+    if "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force"):
         frames += _pull_frames(result, usable)
     elif varies(result, "normal_force"):
         frames += _press_frames(result, usable)

@@ -58,10 +58,7 @@ def _arrow_scale(result: xr.Dataset) -> float:
     """Return the factor, to one digit, by which displacement arrows are lengthened so that the 0.98 quantile of
     displacement is 40 px long in the video; 0 if no displacement is known.
     """
-    if "displacement" not in result:
-        return 0.0
-    length = np.linalg.norm(result["displacement"].values, axis=-1)
-    if not np.isfinite(length).any():
-        return 0.0
-    largest = float(np.nanquantile(length, 0.98)) / float(result.attrs["mm_per_px"])
+    length = np.linalg.norm(result["displacement"].values, axis=-1) if "displacement" in result else np.zeros(1)
+    known = length[np.isfinite(length)]
+    largest = float(np.quantile(known, 0.98)) / float(result.attrs["mm_per_px"]) if known.size else 0.0
     return float(f"{_ARROW_PX / largest:.1g}") if largest > 0 else 0.0

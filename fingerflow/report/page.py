@@ -19,10 +19,9 @@ from fingerflow import plot
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import varies
 from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style
-from fingerflow.plot.captions import caption_of
+from fingerflow.plot.captions import caption_of, frame_text
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.picture import shown_views
-from fingerflow.plot.wording import frame_text
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.inline_svg import hover_curves, inline_svg
 from fingerflow.report.key_frames import KeyFrame, key_frames

@@ -47,9 +47,7 @@ class SlipTrial:
 
     def load_ratio(self) -> NDArray[np.float64]:
         """Return the load ratio (F,), tangential over normal force, in each of F frames; NaN without forces."""
-        if "load_ratio" in self.result:
-            return np.asarray(self.result["load_ratio"])
-        return np.full(self.result.sizes["frame"], np.nan)
+        return np.asarray(self.result.get("load_ratio", np.full(self.result.sizes["frame"], np.nan)))
 
 
 def verdict_line(trial: SlipTrial) -> str:

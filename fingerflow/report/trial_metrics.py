@@ -15,7 +15,7 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, share_above, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles, named_lines
-from fingerflow.plot.wording import definition_text, sentence
+from fingerflow.plot.captions import definition_text, sentence
 from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 

@@ -275,8 +275,7 @@ class SceneCheck(TableCheck):
                 self.record_conflict("contact.gross_radius_px", at_most)
 
     def _rectangle(self, key: str) -> tuple[Pixels, Pixels] | None:
-        rectangle = self.find_value(key)
-        rows, columns = (None, None) if rectangle is None else (rectangle.get("rows"), rectangle.get("columns"))
+        rows, columns = (self.find_value(f"{key}.{side}") for side in ("rows", "columns"))
         return None if rows is None or columns is None else (rows, columns)
 
 

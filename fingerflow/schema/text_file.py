@@ -6,13 +6,8 @@ from pathlib import Path
 from fingerflow.errors import FingerflowError, first_line
 
 MOST_SETTINGS = 16 << 20  # bytes, more than any file of settings or table of trials has
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+_KINDS |= {stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 _HDF5 = b"\x89HDF\r\n"  # signature of an HDF5 file
 # Byte order marks; that of UTF-32 begins with that of UTF-16, so it stands first.
 _MARKS = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -25,10 +20,9 @@ def check_file(path: Path) -> int:
     """
     try:
         status = path.stat()
-        for is_kind, file_type in _KINDS:
-            if is_kind(status.st_mode):
-                remedy = "name a file in it" if stat.S_ISDIR(status.st_mode) else "copy its data to a file and name it"
-                raise FingerflowError(f"{path}: is {file_type}, not a file; {remedy}")
+        if file_type := _KINDS.get(stat.S_IFMT(status.st_mode)):
+            remedy = "name a file in it" if stat.S_ISDIR(status.st_mode) else "copy its data to a file and name it"
+            raise FingerflowError(f"{path}: is {file_type}, not a file; {remedy}")
         with path.open("rb"):
             return status.st_size
     except FileNotFoundError:

@@ -98,8 +98,6 @@ def all_codes() -> dict[str, str]:
     """Return a digest of the source code that computes results and one of the code that computes table rows, under the
     keys "result" and "row".
     """
-    texts = (
-        (Path(__file__).parents[1] / name).read_text("utf-8")
-        for name in ("study/row.py", "models/growth_laws.py", "schema/trial_columns.py")  # decide the content of a row
-    )
+    of_row = ("study/row.py", "models/growth_laws.py", "schema/trial_columns.py")  # decide the content of a row
+    texts = ((Path(__file__).parents[1] / name).read_text("utf-8") for name in of_row)
     return {"result": code_version(), "row": digest_of(*texts)}

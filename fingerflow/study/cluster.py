@@ -90,20 +90,16 @@ def _run_tasks(
         """Submit tasks until a multiple of the threads of workers, which may come and go, is under way."""
         more = max(2, _IN_FLIGHT * sum(client.nthreads().values())) - running
         # Give all tasks one group name, since a scheduler never discards the statistics of a group.
-        return [
-            client.submit(function, task, key=f"{prefix}{name}", pure=False)
-            for name, task in islice(tasks, max(0, more))
-        ]
+        following = islice(tasks, max(0, more))
+        return [client.submit(function, task, key=f"{prefix}{name}", pure=False) for name, task in following]
 
     prefix = f"trial-{os.getpid()}-"
     try:
         with _interrupt_on_sigterm():
             if not client.nthreads():
                 address = client.scheduler.address
-                tqdm.write(
-                    f"warning: no worker is at {address}, so nothing is processed; waiting until one comes",
-                    file=sys.stderr,
-                )
+                idle = f"warning: no worker is at {address}, so nothing is processed; waiting until one comes"
+                tqdm.write(idle, file=sys.stderr)
             waiting = as_completed(submit(0))
             for future in waiting:
                 if future.status == "finished":
@@ -182,9 +178,8 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             elif deployment is not None:
                 cluster = deployment()
                 cluster.scale(workers)
-            client = Client(
-                scheduler if cluster is None else cluster, timeout=_CONNECT, security=getattr(cluster, "security", None)
-            )
+            security = getattr(cluster, "security", None)
+            client = Client(scheduler if cluster is None else cluster, timeout=_CONNECT, security=security)
         except Exception as error:  # a deployment may raise anything
             raise FingerflowError(
                 f"no cluster can be had{f' from {scheduler}' if scheduler else ''} ({error or type(error).__name__}); "

@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from fingerflow.models.growth_laws import power_law
 from fingerflow.models.observer import FORCED_CHOICE
 from fingerflow.plot import axes_style
-from fingerflow.plot.captions import caption_of
+from fingerflow.plot.captions import caption_of, sentence
 from fingerflow.plot.figure_files import PNG, FigureFiles
-from fingerflow.plot.wording import sentence
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import FIGURES, supplement_sheet
 from fingerflow.report.trial_metrics import AMPLITUDE, draw_dots, finish_with_side_legend

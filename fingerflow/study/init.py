@@ -72,14 +72,11 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     ]
     scenes = {file: scene for file in files if file.suffix == ".toml" and (scene := _read_scene(file))}
     rows, shared = _scene_rows(folder, scenes) if scenes else (_recording_rows(folder, files), {})
-    answered: list[dict[str, str]] = []
-    matched = ""
-    if answers is not None:
-        answered, matched = matching(rows, answers)
-        for row, answer_row in zip(rows, answered, strict=True):
-            for name, value in answer_row.items():
-                if value and spelled_alike(value) != spelled_alike(row.get(name, "")):
-                    row[name] = value
+    answered, matched = ([], "") if answers is None else matching(rows, answers)
+    for row, answer_row in zip(rows, answered, strict=False):
+        for name, value in answer_row.items():
+            if value and spelled_alike(value) != spelled_alike(row.get(name, "")):
+                row[name] = value
     columns = (name for row in rows for name in row)
     names = list(dict.fromkeys((*KNOWN, *columns)))
     if not any(FORCES in row for row in rows):
@@ -132,16 +129,13 @@ def _recording_rows(folder: Path, files: list[Path]) -> list[dict[str, str]]:
         and not (file.suffix.lower() in READER_OF and holds_forces(file))
     ]
     if not recordings:
-        raise FingerflowError(
-            f"{folder}: no recording was found in it. Known are {', '.join(sorted(_SUFFIXES))}; of folders of images "
-            f"write trials.csv by hand"
-        )
+        known = f"Known are {', '.join(sorted(_SUFFIXES))}; of folders of images write trials.csv by hand"
+        raise FingerflowError(f"{folder}: no recording was found in it. {known}")
     rows = []
     for file in recordings:
         row = _guessed(file.relative_to(folder)) | {RECORDING: relative(file, folder)}
-        near = [
-            path for path in files if path.parent == file.parent and path.suffix.lower() in READER_OF and path != file
-        ]
+        beside = [path for path in files if path.parent == file.parent and path != file]
+        near = [path for path in beside if path.suffix.lower() in READER_OF]
         same = [path for path in near if path.stem == file.stem]
         alone = [path for path in recordings if path.parent == file.parent] == [file]
         forces = same or (near if alone else [])

@@ -114,9 +114,7 @@ class _Trial:
 
     def _values(self, name: str) -> Series:
         """Return a variable of the trial's result with NaN in unusable frames; NaN in all if the result lacks it."""
-        if name not in self._result:
-            return np.full(len(self._time), np.nan)
-        values = np.array(self._result[name].values, dtype=np.float64)
+        values = np.array(self._result.get(name, np.full(len(self._time), np.nan)), dtype=np.float64)
         values[~self._usable] = np.nan
         return values
 

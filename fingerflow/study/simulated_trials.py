@@ -166,6 +166,11 @@ def draw_presses(design: Design) -> Presses:
     length = np.minimum(_lognormal(draw, *design.displacement, count), 0.5)
     direction = draw.uniform(0, 2 * math.pi, count)
     divergence, area = _peak_values(design, softness, amplitude, force)
+    # The ratio of real to apparent contact area falls with the amplitude, and varies between participants and presses.
+    mean, deviation = design.real_area
+    fall = 1 - design.real_area_fall * design._share(amplitude)
+    person = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
+    ratio = mean / area.mean() / fall.mean() * fall * person * _lognormal(draw, 1.0, design.real_area_noise, count)
     return Presses(
         participant=participant,
         amplitude=amplitude,
@@ -178,7 +183,7 @@ def draw_presses(design: Design) -> Presses:
         shift=np.stack((length * np.cos(direction), length * np.sin(direction)), -1),
         divergence=divergence,
         gross_contact_area=area,
-        real_contact_area=area * _draw_real_share(design, draw, participant, amplitude, float(area.mean())),
+        real_contact_area=area * np.clip(ratio, *_SHARES),
         seed=draw.integers(1 << 30, size=count),
     )
 
@@ -263,20 +268,6 @@ def _draw_kinematics(
 def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: int) -> Values:
     square = math.log(1 + (deviation / mean) ** 2)
     return draw.lognormal(math.log(mean) - square / 2, math.sqrt(square), count)
-
-
-def _draw_real_share(
-    design: Design, draw: np.random.Generator, participant: NDArray[np.int64], amplitude: Values, apparent: float
-) -> Values:
-    """Sample at random the ratio of real to apparent contact area of each press, `apparent` mm² in the mean.
-
-    It falls with the vibration amplitude, and varies between participants and between presses.
-    """
-    mean, deviation = design.real_area
-    fall = 1 - design.real_area_fall * design._share(amplitude)
-    person = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
-    noise = _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
-    return np.clip(mean / apparent / fall.mean() * fall * person * noise, *_SHARES)
 
 
 def _peak_values(design: Design, softness: Values, amplitude: Values, force: Values) -> tuple[Values, Values]:

@@ -43,8 +43,7 @@ def write_tables(manifest: Manifest) -> tuple[Path, Path]:
         ) from error
     stored = [(entry, read_row(manifest.results / entry.name)) for entry in manifest.trials]
     frame = pd.DataFrame(table_rows(manifest, stored))
-    for name, values in normalised(frame).items():
-        frame[name] = values
+    frame = frame.assign(**normalised(frame))
     frame = pd.concat((frame, pd.DataFrame(differences(frame))), axis=1)
     folder = manifest.results
     trials_path, curves_path = folder / "trials.parquet", folder / "curves.csv"

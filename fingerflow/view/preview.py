@@ -34,7 +34,8 @@ class Previewer:
         self.scene = scene
         same = before if before is not None and _input_settings(before.scene) == _input_settings(scene) else None
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.replace_scene(scene)
-        self._trial = self._begin_trial(len(self._inputs.times))
+        self.times = self._inputs.times  # s, of the frames that the scene selects from the recording
+        self._trial = self._begin_trial(len(self.times))
         # Resample the forces only once, as they do not depend on the views.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
         self._loading: LoadingStage = lent or self._begin(LoadingStage(self._trial))
@@ -44,11 +45,6 @@ class Previewer:
         self._contact = ContactStage(self._trial)
         self._trial.stages = {ContactStage: self._contact}
         self._begin(self._contact)
-
-    @property
-    def times(self) -> NDArray[np.float64]:
-        """Return the times (F,) in s of the frames that the scene selects from the recording."""
-        return self._inputs.times
 
     @property
     def warnings(self) -> list[str]:

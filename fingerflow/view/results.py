@@ -46,7 +46,7 @@ class Results:
         self._stored: dict[str, Any] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
         self._courses = {
-            str(name): values.values for name, values in self.data.data_vars.items() if values.dims == ("frame",)
+            str(name): each.values for name, each in self.data.data_vars.items() if each.dims == ("frame",)
         }
 
     def close(self) -> None:

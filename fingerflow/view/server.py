@@ -31,6 +31,9 @@ from fingerflow.view.session import Session
 
 _HOST = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page")
+#: Settings of uvicorn: no log of requests, web sockets, events of the application or headers of a proxy.
+_PLAIN: dict[str, Any] = {"log_level": "warning", "access_log": False, "ws": "none", "lifespan": "off"}
+_PLAIN |= {"proxy_headers": False}
 # Requests that a method of the session answers, whose name has _ for /.
 _READ = "ready setup folder frame points forces progress result result/frame result/range result/triangles"
 _SENT = "edit calibrate write process end report result/courses result/history result/table"
@@ -64,16 +67,7 @@ class Served:
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
         self.address = f"http://{_HOST}:{self.port}/#token={guard.token}"
-        config = uvicorn.Config(
-            guard,
-            http=Connection,
-            log_level="warning",
-            access_log=False,
-            ws="none",
-            lifespan="off",
-            proxy_headers=False,
-        )
-        self._server = uvicorn.Server(config)
+        self._server = uvicorn.Server(uvicorn.Config(guard, http=Connection, **_PLAIN))
 
     def run(self) -> None:
         """Serve the page until interrupted, then close the session."""

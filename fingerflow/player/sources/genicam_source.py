@@ -53,10 +53,8 @@ class GenICamCamera:
         with self._camera.fetch(timeout=_SILENT) as buffer:
             picture = buffer.payload.components[0]
             if not picture.data_format.startswith("Mono"):
-                raise PlayerError(
-                    f"the camera gives {picture.data_format}: set its PixelFormat to Mono8, or for more bits to "
-                    "Mono10, Mono12 or Mono16"
-                )
+                remedy = "set its PixelFormat to Mono8, or for more bits to Mono10, Mono12 or Mono16"
+                raise PlayerError(f"the camera gives {picture.data_format}: {remedy}")
             try:
                 self.stamp = buffer.timestamp_ns / 1e9
             except Exception:  # each producer has its own exception

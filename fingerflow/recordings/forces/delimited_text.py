@@ -52,10 +52,8 @@ def read_table(path: Path) -> ForceTable:
         *complete, last = body.splitlines()
         whole = len(split_cells(last, separator)) == len(names)
         body = body if whole else "\n".join(complete)
-        table.warnings.append(
-            f"{path}: the last line has no line break, so its last number may be cut off: the line is "
-            f"{'read' if whole else 'incomplete and left out'}. Copy the file again if it was longer"
-        )
+        state = f"the line is {'read' if whole else 'incomplete and left out'}. Copy the file again if it was longer"
+        table.warnings.append(f"{path}: the last line has no line break, so its last number may be cut off: {state}")
     if re.search(r"^\s*(?:[#%]|//)", body, re.MULTILINE):
         body = "\n".join(filter(is_read, body.splitlines()))
     stated = separator

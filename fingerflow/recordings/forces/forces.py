@@ -138,10 +138,8 @@ class Forces:
         margin = 0.0 if sample_rate is None else 0.505 / sample_rate
         covered = (targets >= times[0] - margin) & (targets <= times[-1] + margin)
         if not covered.all():
-            self._warn(
-                f"the forces do not cover {(~covered).sum()} of {targets.size} frames (NaN there): is the trigger "
-                "right?"
-            )
+            question = "is the trigger right?"
+            self._warn(f"the forces do not cover {(~covered).sum()} of {targets.size} frames (NaN there): {question}")
         if frame_rate is not None and sample_rate is not None and sample_rate > frame_rate:
             after = np.clip(np.searchsorted(times, targets), 1, times.size - 1)
             in_gap = covered & (times[after] - times[after - 1] > 1 / frame_rate)

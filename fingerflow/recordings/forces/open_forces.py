@@ -233,10 +233,8 @@ def _read_table(location: Path) -> ForceTable:
     check_file(location)
     reader = READER_OF.get(location.suffix.lower())
     if reader is None:
-        raise FingerflowError(
-            f"{location}: {location.suffix or 'a file without suffix'} does not hold forces; known are "
-            f"{', '.join(READER_OF)}"
-        )
+        problem = f"{location.suffix or 'a file without suffix'} does not hold forces; known are {', '.join(READER_OF)}"
+        raise FingerflowError(f"{location}: {problem}")
     with reading(location, f"forces ({reader.removesuffix('_forces')})"):
         table: ForceTable = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
     if not table.columns:

@@ -172,10 +172,8 @@ def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: dict[s
     # JPEG, 0 with 24 or 48 bits is interpolated colour, and 0 with 8 or 16 bits is grey.
     if compression == 2 or bits in (24, 48):
         pixels = "raw pixels behind a colour filter" if compression == 2 else f"colour pixels of {bits} bits"
-        raise FingerflowError(
-            f"{path}: a colour recording ({pixels}, CFA = {setup['CFA']}). "
-            "Convert it to grey in the camera's software first."
-        )
+        remedy = "Convert it to grey in the camera's software first."
+        raise FingerflowError(f"{path}: a colour recording ({pixels}, CFA = {setup['CFA']}). {remedy}")
     if compression != 0 or bits not in (8, 16) or packing not in (UNCOMPRESSED, PACKED_10, PACKED_12):
         raise FingerflowError(
             f"{path}: Compression {compression}, biCompression {packing}, biBitCount {bits} is not known. Known grey "

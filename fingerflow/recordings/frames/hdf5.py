@@ -119,10 +119,8 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     if len(stacks) == 1:
         return stacks[0]
     if stacks:
-        raise FingerflowError(
-            f"{path}: has {len(stacks)} data sets that could be frames: {', '.join(item.name for item in stacks)}. "
-            f"Choose one, for example {path}::{stacks[0].name}"
-        )
+        choice = f"{', '.join(item.name for item in stacks)}. Choose one, for example {path}::{stacks[0].name}"
+        raise FingerflowError(f"{path}: has {len(stacks)} data sets that could be frames: {choice}")
     colour = " Colour frames have to be made grey first." if any(item.ndim == 4 for item in datasets.values()) else ""
     raise FingerflowError(
         f"{path}: has no frames, a data set (N, H, W) of numbers; its data sets are {listing}.{colour}"

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from decimal import Decimal
 from functools import partial
@@ -38,10 +38,7 @@ def open_frames(path: Path) -> Recording:
 
     Raises FingerflowError for a folder without images, for one with several kinds, and for equal numbers.
     """
-    files: list[Path | None] = [path]
-    warnings: tuple[str, ...] = ()
-    if path.is_dir():
-        files, warnings = _sort_files(path)
+    files, warnings = _sort_files(path) if path.is_dir() else ([path], ())
     there = [file for file in files if file is not None]
     warnings += _check_order(there)
     first = _read_image(there[0])
@@ -219,19 +216,17 @@ def _values(before: str, numbers: list[str]) -> list[Decimal]:
 
 def list_images(folder: Path) -> list[Path]:
     """Return the images in a folder, without hidden files; raise FingerflowError unless it has images of one format."""
-    kinds: dict[str, list[Path]] = defaultdict(list)
     try:
-        for file in folder.iterdir():
-            if file.is_file() and file.suffix.lower() in SUFFIXES and not file.name.startswith("."):
-                kinds[file.suffix.lower()].append(file)
+        paths = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
     except OSError as error:
         raise FingerflowError(f"{folder}: cannot be listed ({first_line(error)}); make it readable") from None
+    files = [path for path in paths if path.is_file() and not path.name.startswith(".")]
+    kinds = Counter(path.suffix.lower() for path in files)
     if not kinds:
         raise FingerflowError(f"{folder}: the folder has no images ({', '.join(SUFFIXES)}); name a file in it")
     if len(kinds) > 1:
-        counts = ", ".join(f"{len(files)} {suffix}" for suffix, files in sorted(kinds.items()))
+        counts = ", ".join(f"{count} {suffix}" for suffix, count in sorted(kinds.items()))
         raise FingerflowError(f"{folder}: has images of several kinds ({counts}); leave only the frames in it")
-    (files,) = kinds.values()
     return files
 
 

@@ -42,10 +42,8 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
     reader = "images" if os.path.isdir(location) else _READER_OF.get(location.suffix.lower())
     if reader is None:
         check_file(location)
-        raise FingerflowError(
-            f"{location}: {location.suffix or 'a file without suffix'} is not a recording. Known are a folder of "
-            f"images and {', '.join(_READER_OF)}"
-        )
+        known = f"Known are a folder of images and {', '.join(_READER_OF)}"
+        raise FingerflowError(f"{location}: {location.suffix or 'a file without suffix'} is not a recording. {known}")
     if inside and reader != "hdf5":
         raise FingerflowError(f"{path}: only an HDF5 file has something after '::'")
     if reader != "images":

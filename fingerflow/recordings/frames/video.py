@@ -77,16 +77,14 @@ def open_frames(path: Path) -> Recording:
     if missing <= 0 and not promised and (cut := unfinished(path)):
         warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
-        warnings.append(
-            f"a colour video ({pixels.name}): its brightness (luma) is used as stored, range {luma_range}; "
-            "its colour is dropped"
-        )
+        meaning = f"its brightness (luma) is used as stored, range {luma_range}; its colour is dropped"
+        warnings.append(f"a colour video ({pixels.name}): {meaning}")
     interlaced, orientation = _first_picture(path)
     if interlaced:
-        warnings.append(
-            "the video is interlaced: odd and even rows of a frame are half a frame apart, so moving skin is torn; "
-            "record progressive frames"
+        meaning = (
+            "odd and even rows of a frame are half a frame apart, so moving skin is torn; record progressive frames"
         )
+        warnings.append(f"the video is interlaced: {meaning}")
     hertz = float(rate) if rate else None
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
     if hertz is not None and stamps is not None:
