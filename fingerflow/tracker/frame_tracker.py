@@ -5,12 +5,12 @@ State that a frame reads and writes:
 frame ──> inspect            reads   light of the glass (`FrameCheck`)
   │       (any thread)       gives   samples, hash of the block means, status by itself
   v
-step      changes due        reads   `_change`, `_search`
-  │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
-  │       frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
+step      frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
   │       (`FrameCheck`)             `_returned`: which of the last 16 jumped away; `_keys`: hashes of the last 512
   │                          writes  the same, `_same`: which of the last 16 repeat an earlier frame, and
   │                                  `stale_views`: hashes of the frame before
+  │       changes due        reads   `_change`, `_search`
+  │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
   │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
   │       usable: tracking   reads   `_latest`, motion and templates of the key frame (`Points`), templates that are
   │       (`Points.follow`)          prepared (`Points._pending`)
@@ -261,19 +261,16 @@ class StreamTracker:
         """
         self._index += 1
         passed: list[Event | FrameOutcome] = []
+        assert frame.picture is not None
+        statuses = self.check.update(frame.picture)
         if not self._deferred:
-            passed += self._make_changes(frame)
+            passed += self._make_changes(frame, USABLE in statuses)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         work = FrameOutcome(self._index, frame, images, self.threshold)
         if self.measures and self._search.wants(self._index):
             self._measure_threshold(work)
-        assert frame.picture is not None
-        if self._points is None:  # no usable frame has arrived yet
-            self.check.stale_views.update(frame.picture.key)
-            passed.append(self._outcome(work, frame.picture.status))
-        else:
-            self._deferred.append(work)
-            passed += self._decided(self.check.update(frame.picture))
+        self._deferred.append(work)
+        passed += self._decided(statuses)
         while len(self._unlearnt) > len(self._held) and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
@@ -367,11 +364,10 @@ class StreamTracker:
 
     # Changes that are made before a frame begins.
 
-    def _make_changes(self, frame: Frame) -> list[Event]:
+    def _make_changes(self, frame: Frame, usable: bool) -> list[Event]:
         change, threshold = self._change, self._search.due(self._index)
         events: list[Event] = []
-        assert frame.picture is not None
-        if not self.restarts and frame.picture.status == USABLE:
+        if not self.restarts and usable:
             view = frame.views[TOPOGRAPHY_VIEW][0]
             events.append(self._restart(frame.number, view, self._seed(view, self._settings.region), "start"))
         if threshold is not None:

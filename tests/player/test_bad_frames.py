@@ -75,9 +75,9 @@ def _assert_others_as_before(small: Small, records: Array, places: list[int]) ->
     median divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md).
     """
     good, clean = np.setdiff1d(np.arange(small_trials.FRAMES), places), small.clean.records
-    for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
+    areas = "real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"
+    for name in (*areas, "status", "slip_flag"):
         np.testing.assert_array_equal(records[name][good], clean[name][good], err_msg=name)
-    np.testing.assert_array_equal(records["status"][good], clean["status"][good])
     off = np.abs(records["position_px"][good] - clean["position_px"][good])
     known = np.isfinite(clean["position_px"][good])
     np.testing.assert_array_equal(np.isfinite(off), known)
@@ -87,7 +87,6 @@ def _assert_others_as_before(small: Small, records: Array, places: list[int]) ->
     np.testing.assert_allclose(
         records["median_divergence"][good], clean["median_divergence"][good], rtol=0, atol=2.5e-3
     )
-    np.testing.assert_array_equal(records["slip_flag"][good], clean["slip_flag"][good])
 
 
 def test_a_bad_frame_counts_in_no_number_live_or_recorded(small: Small) -> None:
@@ -95,7 +94,6 @@ def test_a_bad_frame_counts_in_no_number_live_or_recorded(small: Small) -> None:
     clean run, and `process` of the same recording finds the same frames, reasons, areas and median divergence.
     """
     assert _status_of(small.clean.records) == {}
-    assert small.clean.events[0]["event"] == "restart"
     frames = small.frames.copy()
     for k, (spoil, _) in zip(ALONE, small_trials.SPOILED.values(), strict=True):
         frames[k] = spoil(frames[k])
@@ -132,9 +130,8 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
         frames, places = small.frames.copy(), []
         for number, event in enumerate(one for one in clean.events if one["event"] == "threshold"):
             places.append(event["frame"])
-            frames[places[-1]] = small_trials.SPOILED["black" if number % 2 else "dim contact view"][0](
-                frames[places[-1]]
-            )
+            spoil, _ = small_trials.SPOILED["black" if number % 2 else "dim contact view"]
+            frames[places[-1]] = spoil(frames[places[-1]])
         played = small.play(frames)
         small.play(frames[-2:])
     finally:
@@ -156,9 +153,13 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
 
 
 def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
-    """The player says so where all frames are dark, and where no frame shows a contact."""
+    """The player says so where all frames are dark, and where no frame shows a contact. Lines that are lost from the
+    first frame on are the camera's, and its frames count, from the fourth on.
+    """
     small.play(np.full_like(small.frames[:8], 8))
     assert "no frame could be measured (8 dark)" in capsys.readouterr().out
+    lost = np.stack([*map(small_trials.SPOILED["lines lost"][0], small.frames[:8])])
+    assert [*_status_of(small.play(lost).records)] == [0, 1, 2]
     glass = np.load(small.folder / "trial" / "empty.npy")
     small.play(np.resize(glass, small.frames[:8].shape).astype(np.uint8))
     assert "no frame showed a contact" in capsys.readouterr().out

@@ -88,7 +88,6 @@ def test_a_stream_equals_the_recording_bit_for_bit(
     for name in ("position_std_px", "forward_backward_error"):
         np.testing.assert_array_equal(records[name][1:frames], recorded[name].values[1:frames], err_msg=name)
     calm = _without_passing_touch(recorded)[:frames]
-    assert calm.sum() > 25
     # A recording knows the reference positions of points that touch later, which changes the order of sums in fits.
     for name, rounding in (("median_divergence", 1e-6), ("global_displacement", 0)):
         medians = recorded[name].values.astype(np.float32)
