@@ -127,6 +127,11 @@ class Geometry:
         pixels = self._over_topography()
         return _affine(pixels, self.lens.distort(self.on_glass(pixels) / self.mm_per_px, self.contact))
 
+    @property
+    def magnification(self) -> float:
+        """Return the number of recorded px of the contact view along the side of one of the topography view."""
+        return float(np.sqrt(abs(np.linalg.det(self.topography_to_contact[:, :2]))))
+
     def on_glass(self, pixels: NDArray[Any]) -> Array:
         """Convert positions (..., 2) from px of the topography view to mm on the glass."""
         pixels = pixels.astype(np.float64)
@@ -160,8 +165,7 @@ class Geometry:
 
     def _over_topography(self) -> Array:
         """Return positions (n, 2) px all over the topography view."""
-        rows, columns = self._topography.shape
-        y, x = np.meshgrid(np.linspace(0, rows - 1, _GRID), np.linspace(0, columns - 1, _GRID))
+        y, x = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in self._topography.shape))
         return np.column_stack((x.ravel(), y.ravel()))
 
 

@@ -510,7 +510,7 @@ class StreamTracker:
         product = self._settings.points * (_DENSE * gauge) ** 2 * float(contact.gross_area_px[0]) / area / math.pi
         axes = contact.semi_axes[0].astype(np.float64)
         wider = (math.hypot(axes[0] - axes[1], 2 * math.sqrt(product)) - axes.sum()) / 2
-        window = self._engine.settings.window_px * self.geometry.topography_mm_per_px / self.geometry.mm_per_px
+        window = self._engine.settings.window_px * self.geometry.magnification
         return _Sparse(points, contact.center[0].copy(), axes, float(contact.angle[0]), axes + max(wider, window))
 
     def _regions(self, sparse: _Sparse) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import pytest
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.scene_tables import CalibrationSettings
+from fingerflow.schema.views import Rectangle
 from fingerflow.tracker.reseeding import CONTACT, ReseedingSchedule, ThresholdSearch
 
 
@@ -30,11 +31,10 @@ def test_a_growing_contact_measures_the_threshold_again() -> None:
             measured.append(index)
         area = max(0.0, index - 5)
         search.update(index, area, (0.2 + index / 100 if area else math.nan) if index in measured else None)
-    assert measured[:3] == [0, 4, 8]
     # A threshold applies from frame 10 on, with an area of 5. The area exceeds 6.25 in frame 12: the threshold is
     # measured in frame 14 and applies from frame 16 on.
-    assert measured[3:6] == [14, 21, 30]
-    assert list(used.items())[:3] == [(10, pytest.approx(0.28)), (16, pytest.approx(0.34)), (23, pytest.approx(0.41))]
+    assert measured[:6] == [0, 4, 8, 14, 21, 30]
+    assert dict([*used.items()][:3]) == pytest.approx({10: 0.28, 16: 0.34, 23: 0.41})
 
 
 def test_single_frames_change_nothing() -> None:
@@ -64,15 +64,16 @@ def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
         touches = 10 <= index < 60 or index >= 70
         upkeep.record_contact(touches, touches and index % 50 > 12)
         causes.append(upkeep.update(index, index, 100))
-    assert [index for index, cause in enumerate(causes) if cause] == [14, 71]
-    assert {causes[14], causes[71]} == {CONTACT}
+    assert {index: cause for index, cause in enumerate(causes) if cause} == {14: CONTACT, 71: CONTACT}
 
 
 def test_a_window_around_the_contact_is_one_of_the_topography_view() -> None:
-    """Points are seeded a window around a contact: 20 px of a view of half the scale are 10 px of the contact view."""
-    calibration = CalibrationSettings(mm_per_px=0.02, topography_to_contact=((0.5, 0.0, 0.0), (0.0, 0.5, 0.0)))
-    geometry, region = Geometry(calibration, None, None), np.eye(1, 40, dtype=bool)
-    recorded: Any = SimpleNamespace(_largest=region, usable=np.ones(1), _contact=lambda frame: frame)
-    recorded._gross_region = lambda contact: region
-    recorded.inputs = SimpleNamespace(scene=SimpleNamespace(kind="slip"), mm_per_px=0.02, geometry=geometry)
+    """Points are seeded a window around a contact: 20 px of a view of half the scale are 10 px of the contact view, and
+    not 14 px where pixels are twice as high as wide.
+    """
+    half, view = ((0.5, 0.0, 0.0), (0.0, 0.5, 0.0)), Rectangle((0, 40), (0, 40))
+    calibration = CalibrationSettings(mm_per_px=0.02, topography_to_contact=half, intrinsics=(4e3, 2e3, 20, 20))
+    geometry, region = Geometry(calibration, view, view), np.eye(1, 40, dtype=bool)
+    recorded: Any = SimpleNamespace(_largest=region, usable=[1], _contact=lambda _: region, _gross_region=np.asarray)
+    recorded.inputs = SimpleNamespace(scene=SimpleNamespace(kind="slip"), geometry=geometry)
     assert ContactStage.seeding_region(recorded, 20).sum() == 1 + 10

@@ -178,7 +178,7 @@ class ContactStage(Stage):
         if self.inputs.scene.kind != "slip":
             return region
         away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        return away * self.inputs.mm_per_px <= window_px * self.inputs.geometry.topography_mm_per_px
+        return away <= window_px * self.inputs.geometry.magnification
 
     def touched(self, frames: int = _LOOKS) -> Mask:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""

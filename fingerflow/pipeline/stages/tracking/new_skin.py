@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fingerflow.kernels.array_types import Array, Mask, Numbers, Points
+from fingerflow.recordings.lens import Geometry
 
 _STEP = 2  # cells between sampled positions
 _AHEAD = 2.0  # prediction time in intervals between calls: until the next call but one
@@ -22,15 +23,14 @@ class NewSkin:
     """Detector of skin without tracked points that is in contact or about to come into contact.
 
     Args:
-        topography_to_contact: (2, 3) affine map, px to px.
+        geometry: of the views.
         cell_px: side of the contact's cells.
         window_px: window of a point in the topographic view: the point covers skin within half of it.
     """
 
-    def __init__(self, topography_to_contact: Array, cell_px: int, window_px: int) -> None:
-        self._matrix, self._cell, self._window = topography_to_contact, cell_px, window_px
-        self._inverse = cv2.invertAffineTransform(topography_to_contact)
-        self._per_px = float(np.sqrt(abs(np.linalg.det(topography_to_contact[:, :2]))))  # contact px per topographic px
+    def __init__(self, geometry: Geometry, cell_px: int, window_px: int) -> None:
+        self._matrix, self._cell, self._window = geometry.topography_to_contact, cell_px, window_px
+        self._inverse, self._per_px = cv2.invertAffineTransform(self._matrix), geometry.magnification
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
         self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 

@@ -68,7 +68,7 @@ class TrackingStage(Stage):
         # For each set of points: indices (A,) of earlier points that guide it.
         self._around: list[Numbers] = []
         self._density = 0.0  # points per px of the first seeding region
-        self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
+        self._new_skin = NewSkin(inputs.geometry, self._engine.cell_px, self._settings.window_px)
         self._full = False  # True if no more points may be seeded
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
         self._held = np.full(len(trial), np.nan)
