@@ -6,8 +6,9 @@ weight of sample j is h(t_j - t) times the interval that it represents. Two furt
 samples only approximates:
 
 - the weights are divided by their sum: a constant is preserved, also at the ends, where half the kernel is missing;
-- where the kernel lies wholly inside the record, a small odd multiple of the window is added so that the first moment
-  vanishes: a ramp keeps its value at any position between two samples.
+- a small odd multiple of a power of the window is added so that the first moment vanishes: a ramp keeps its value at
+  any position between two samples, and at the ends. What bends within the half kernel beside an end errs there: a press
+  that begins with 4 N/s at frames of 20 Hz by up to 64 mN in the first frame.
 
 Averaging over the exposure, the obvious alternative, passes 400 Hz with a gain of 21 % into frames of 300 Hz.
 """
@@ -33,10 +34,11 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
     """
     from scipy.special import i0  # a deployment bundle loads this module without SciPy
 
-    half_width, beta = kernel_half_width(nyquist), 0.1102 * (STOP_BAND_DB - 8.7)
+    # Half the length of the kernel, s, from its transition width by Kaiser's rule.
+    half_width = (STOP_BAND_DB - 7.95) / (14.36 * ((STOP_BAND - PASS_BAND) * nyquist)) / 2
+    beta = 0.1102 * (STOP_BAND_DB - 8.7)
     first = np.searchsorted(times, targets - half_width, side="left")
     last = np.searchsorted(times, targets + half_width, side="right")
-    interior = (targets - half_width >= times[0]) & (targets + half_width <= times[-1])
     width = int(np.max(last - first, initial=1))
     begin = np.minimum(first, len(times) - width)  # first sample of rows of equal length; unused samples have weight 0
     rate = (PASS_BAND + STOP_BAND) * nyquist  # twice the cutoff frequency in the middle of the transition band, Hz
@@ -55,32 +57,23 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
         offset = neighbours - targets[few, None]
         window = i0(beta * np.sqrt(np.maximum(1 - (offset / half_width) ** 2, 0)))
         window *= (samples >= first[few, None]) & (samples < last[few, None])
-        weights = np.sinc(offset * rate) * window * stretches
-        weights = _exact_moments(weights, window, offset, interior[few])
+        weights = _exact_moments(np.sinc(offset * rate) * window * stretches, window, offset)
         result[:, few] = np.einsum("kfj,fj->kf", rows[:, begin[few]], weights)
     return result
 
 
-def kernel_half_width(nyquist: float) -> float:
-    """Return half the length, s, of the low-pass kernel for a Nyquist frequency (Hz), from its transition width by
-    Kaiser's rule.
-    """
-    return (STOP_BAND_DB - 7.95) / (14.36 * ((STOP_BAND - PASS_BAND) * nyquist)) / 2
+def _exact_moments(weights: Samples, window: Samples, offset: Samples) -> Samples:
+    """Return filter weights (m, w), for m frames and w samples each, corrected to a sum of 1 and a first moment of 0.
 
-
-def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
-    """Return filter weights (m, w), for m frames and w samples each, corrected to a sum of 1 and, for `interior`
-    frames, to a first moment of 0.
-
-    The correction uses the window values (m, w) and the sample times relative to the frame, `offset` (m, w). Frames are
-    `interior` if their kernel lies wholly inside the record.
+    The correction uses the window values (m, w) and the sample times relative to the frame, `offset` (m, w).
     """
     weights = weights / weights.sum(1, keepdims=True)
-    # The window times the offset from its own centre of mass: adding it changes the first moment and not the sum.
-    centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)
-    moment = np.einsum("fj,fj->f", weights, offset)
-    odd = window * (offset - centre[:, None])
+    # A power of the window, narrow so that a bend further away does not matter, times the offset from its own centre of
+    # mass: adding it changes the first moment and not the sum.
+    narrow = window**4
+    centre = np.einsum("fj,fj->f", narrow, offset) / narrow.sum(1)
+    odd = narrow * (offset - centre[:, None])
     spread = np.einsum("fj,fj->f", odd, offset)
-    correctable = interior & (spread > 0)
-    weights -= odd * np.where(correctable, moment / np.where(spread > 0, spread, 1.0), 0.0)[:, None]
+    moment = np.einsum("fj,fj->f", weights, offset)
+    weights -= odd * (moment / np.where(spread > 0, spread, 1.0))[:, None]
     return weights
