@@ -109,8 +109,8 @@ class Geometry:
     @cached_property
     def lens(self) -> Lens | None:
         """Return the lens by whose distortion positions and areas are corrected; None if none is stated."""
-        intrinsics, distortion = self.calibration.intrinsics, self.calibration.distortion
-        return None if intrinsics is None else Lens(intrinsics, distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
+        stated = self.calibration
+        return stated.intrinsics and Lens(stated.intrinsics, stated.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
 
     @cached_property
     def _transform(self) -> Array:
