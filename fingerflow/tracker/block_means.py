@@ -58,16 +58,17 @@ class PictureCheck:
     Attributes:
         black: level without light.
         least: mean level below which a frame is dark.
+        glass: (rows, columns) means over blocks of the empty glass.
         lines: (lines,) means of sampled lines of the empty glass.
     """
 
     def __init__(self, glass: Array, dark: Array | None, top: float) -> None:
         self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
-        empty, (self.lines,) = block_means(glass[None])
-        self.least = self.black + DARK_SHARE * (float(empty.mean()) - self.black)
+        (self.glass,), (self.lines,) = block_means(glass[None])
+        self.least = self.black + DARK_SHARE * (float(self.glass.mean()) - self.black)
         self._roughness = max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
         self._top = top
-        self._tells_saturated = float((empty > top).mean()) < SATURATED_SHARE
+        self._tells_saturated = float((self.glass > top).mean()) < SATURATED_SHARE
 
     def status(self, frames: Array, blocks: Array) -> Array:
         """Judge frames (n, H, W), and return the status (n,) of each, an index into `FRAME_STATUS`.

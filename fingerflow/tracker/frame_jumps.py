@@ -18,6 +18,7 @@ NEARBY = 8  # number of steps before and after a frame from which ordinary dista
 _JERK = 2.0
 _USUAL = 0.9  # quantile of the excesses that counts as usual
 _SLOW = 0.1  # quantile of the steps that counts as noise
+_ALIKE = 0.2  # least ratio of the ways there and back: skin that lands rushes, and then swings back by a little
 _BACK = 0.6  # the image returns if both ends differ by less than this share of the longer way, there or back
 # Least limit of the excess in the first and last frames, where no frames beyond tell whether the image returns.
 _LEAST_AT_END = 1.25
@@ -50,8 +51,8 @@ def is_jump(
     - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
       jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
       that taps are not; or both ways are four times as long as those nearby.
-    - The image returns: the way between the frames around them is shorter than the longer way, there or back. What
-      moves on, however unevenly, gets further from where it was.
+    - The image returns: the way between the frames around them is shorter than the longer way, there or back, and the
+      shorter way is no small part of it. What moves on, however unevenly, gets further from where it was.
 
     Args:
         into: of the first of these frames from the frame before them.
@@ -62,11 +63,11 @@ def is_jump(
         ordinary: what is ordinary in the whole recording.
     """
     usual = np.fmax(usual, 1)
-    longer = np.maximum(into, out_of) - usual
+    longer, shorter = np.maximum(into, out_of) - usual, np.minimum(into, out_of) - usual
     most = np.maximum(usual, within)
     far = excess(into, out_of, most) > _excess_limit(most, ordinary)
-    very_far = excess(into, out_of, usual) > np.maximum(ordinary[1], _FAR - 1)
-    return bool(((far | very_far) & (between - usual < _BACK * longer)).any())
+    very_far = shorter > usual * np.maximum(ordinary[1], _FAR - 1)
+    return bool(((far | very_far) & (between - usual < _BACK * longer) & (shorter > _ALIKE * longer)).any())
 
 
 def is_far(step: SquaredDistances, gap: int, usual: SquaredDistances, ordinary: Ordinary | None = None) -> bool:
@@ -221,11 +222,9 @@ def _far_at_end(
 
     Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
     """
-    result = np.zeros(len(distances), dtype=bool)
-    if len(distances) <= NEARBY:  # too few steps to estimate usual ones
-        return result
-    last = usable.nonzero()[0][-LONGEST - 1 :].tolist()
-    if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
+    result, last = np.zeros(len(distances), dtype=bool), usable.nonzero()[0][-LONGEST - 1 :].tolist()
+    # With fewer frames there are too few steps to estimate usual ones.
+    if len(distances) > NEARBY and len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
         ordinary = ordinary[0], np.fmax(ordinary[1], _LEAST_AT_END)
         for k, step in enumerate(steps):

@@ -106,10 +106,7 @@ def test_a_trigger_within_a_step_leaves_the_first_frame_covered() -> None:
     first sample is then half a step late.
     """
     times = np.arange(-250, 9501) / 10_000
-    record = Forces(
-        Path("f.csv"), times, {"x": np.ones(times.size), "t": 5.0 * (times >= 0)}, {"x": "N", "t": "V"}, "t"
-    )
-    aligned = record.align(2.5)
+    aligned = forces(times, "t", x=np.ones(times.size), t=5.0 * (times >= 0)).align(2.5)
     assert aligned.times[0] == pytest.approx(-0.02495, abs=1e-12)
     np.testing.assert_allclose(aligned.resample(np.arange(-1, 39) / 40)["x"], 1, rtol=1e-12)
     assert aligned.warnings == []

@@ -12,7 +12,7 @@ from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker import frame_distances
 from fingerflow.tracker.frame_copies import copies
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
-from fingerflow.tracker.frame_jumps import jumps_and_returns
+from fingerflow.tracker.frame_jumps import is_jump, jumps_and_returns
 from tests.small_trials import SPOILED
 
 FRAMES, HEIGHT, WIDTH = 80, 96, 120
@@ -90,6 +90,14 @@ def test_motion_and_light_that_stay_are_none(skin: Array) -> None:
     lamp[30:] *= 0.6
     for frames in (skin, jump, lamp, skin[::10], skin[:1], skin[:3], np.repeat(skin[:1], 20, 0)):
         assert found(frames) == []
+
+
+def test_skin_that_lands_and_swings_back_by_a_little_has_not_returned() -> None:
+    """Skin rushes by 7.5 px, stops, and comes `back`; squared distances are those of these ways and noise of 7."""
+    noise = np.array([7.0])
+    for back, returns in ((1.9, False), (6.0, True)):
+        ways = (way**2 + noise for way in (7.5, back, 7.5 - back))
+        assert is_jump(*ways, noise, noise, (noise, noise / 28)) == returns
 
 
 @pytest.mark.parametrize("period", [2.1, 3.0, 3.3, 7.0])

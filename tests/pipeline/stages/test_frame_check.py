@@ -60,6 +60,12 @@ def test_a_bad_first_and_last_frame(clean: Clean, tmp_path: Path) -> None:
             np.testing.assert_allclose(result[name].values[1:-1], expected[name].values[1:-1], rtol=5e-3, err_msg=name)
 
 
+def test_skin_that_rushes_as_it_lands_leaves_frames_of_empty_glass(clean: Clean, tmp_path: Path) -> None:
+    frames = clean.frames.copy()
+    frames[:3, :, :240] = np.roll(frames[:3, :, :240], 15, axis=2)
+    assert status_of(process(with_frames(clean, frames, tmp_path), ["frame_status"])) == {}
+
+
 def test_a_camera_that_gives_every_frame_twice_is_named(clean: Clean, tmp_path: Path) -> None:
     half = np.repeat(clean.frames[::2], 2, axis=0)
     result = process(with_frames(clean, half, tmp_path), ["frame_status"])

@@ -18,8 +18,6 @@ def test_rates_are_those_of_savitzky_and_golay() -> None:
         for first, end in runs:
             expected[first:end] = savgol_filter(values[first:end, column], 11, 2, deriv=1, delta=STEP)
         np.testing.assert_allclose(found[:, column], expected, atol=1e-8)
-    parabola = (STEP * np.arange(3.0)) ** 2
-    np.testing.assert_allclose(rate(parabola, STEP * np.arange(3), 0.0), 2 * STEP * np.arange(3), atol=1e-12)
 
 
 def test_deviations_of_rates_are_those_of_independent_errors() -> None:

@@ -20,6 +20,7 @@ _MEANINGS = (  # of the indices into `FRAME_STATUS` from 1 on
     "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
     "frames of noise, or with lines or blocks in disorder",
 )
+_EMPTY = 0.05  # share of the light of the empty glass from which none of its blocks differs where nothing touches
 
 
 class FrameCheckStage(Stage):
@@ -38,7 +39,7 @@ class FrameCheckStage(Stage):
     def begin(self) -> None:
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
-        self._status = np.zeros(len(self.trial), np.uint8)
+        self._status, self._empty = np.zeros(len(self.trial), np.uint8), np.zeros(len(self.trial), bool)
         self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
         self._distances: list[list[Array]] = [[] for _ in self._views]
         self._keys: list[frame_copies.FrameKey] = []
@@ -53,6 +54,8 @@ class FrameCheckStage(Stage):
             blocks = np.nan_to_num(block_means(frames)[0], nan=0.0, posinf=0.0, neginf=0.0)
             if k == 0:
                 self._status[indices] = self._alone.status(frames, blocks)
+                lost = np.abs(blocks - self._alone.glass).max((1, 2))
+                self._empty[indices] = lost < _EMPTY * self._alone.glass.mean()
             if frames.dtype.kind == "f":
                 self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = NOT_FINITE
             view_blocks.append(blocks)
@@ -86,10 +89,12 @@ class FrameCheckStage(Stage):
             )
         status[np.array(stale) & (status == USABLE)] = REPEATED
         self.warnings += (causes := views.warnings())
-        status[jumps_and_returns(distances, status == USABLE)] = JUMPS
+        jumps = jumps_and_returns(distances, status == USABLE)
+        # Skin may rush as it lands. Nothing tells then whether the picture returns to that of the first frames.
+        jumps &= ~np.logical_and.accumulate(self._empty & (jumps | (status != USABLE)))
+        status[jumps] = JUMPS
         self.results.put("frame_status", status)
-        by_value = ((meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1))
-        faults = [fault for fault in by_value if len(fault[1])]
+        faults = [(text, at) for value, text in enumerate(_MEANINGS, 1) if len(at := np.flatnonzero(status == value))]
         for meaning, frames in faults:
             why = f" ({reasons[int(frames[0])]})" if status[frames[0]] == UNREADABLE else ""
             listed = _listed(frames + self.first_frame)
