@@ -366,7 +366,7 @@ STRAIN = (
         "rate of the strain of a triangle (Delhaye et al. 2014)", "f4", equation=f"Ė, {_RATE_EQUATION} to the strain",
         shown_in=UM_PER_MM_S, unasked=False),
         "σ² = Σ w² n² + (dσ/dt)², w the weights of that slope, n² a twentieth of the variance of third "
-        "differences of the strain of a triangle, σ its strain_std"),
+        "differences of the strain of a triangle, of few with 4 as is usual for σ, its strain_std"),
     *with_deviation(Variable("principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain",
         "f4", equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=UM_PER_MM, unasked=False),
         "√(cos⁴φ σ²(e_xx) + sin⁴φ σ²(e_yy) + sin²2φ σ²(e_xy)), φ the direction of each"),

@@ -128,11 +128,13 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
     assert np.isfinite(moved[1:, 0]).all()
 
 
-def test_the_strain_rate_of_triangles_has_its_deviation() -> None:
-    """F = I + t G has the rate of strain sym(G) + t G' G."""
+@pytest.mark.parametrize("window_s", [0.05, 0.01])
+def test_the_strain_rate_of_triangles_has_its_deviation(window_s: float) -> None:
+    """F = I + t G has the rate of strain sym(G) + t G' G, also in triangles known in five frames or fewer."""
     motion = Motion((0.002, 0.001), ((0.001, 0.0002), (0.0, 0.0008)), 0.05)
     trial = tracked(motion, material(), 0)
     trial.requested, trial.inputs.scene.fields.reference = frozenset(("strain_rate", "strain_rate_std")), "first_frame"
+    trial.inputs.scene.fields.rate_window_s = window_s
     found = measured(trial)
     gradient, frame = np.array(motion.gradient), np.arange(FRAMES)[:, None, None]
     truth = 300 * ((gradient + gradient.T) / 2 + frame * gradient.T @ gradient)[:, None, [0, 1, 0], [0, 1, 1]]

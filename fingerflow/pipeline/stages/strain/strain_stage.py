@@ -34,6 +34,7 @@ _SMOOTHED = 2.5
 # of four slides and two partial slips of other seeds and ways than those of the tables.
 _TAKEN = 0.33
 
+_USUAL = 4  # third differences of a triangle's strain that count as much as what is usual
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.5
@@ -249,10 +250,14 @@ class StrainStage(Stage):
     def _put_strain_rate(self) -> None:
         """Store the strain rate of the triangles, whose errors are noise from frame to frame, which third differences
         show free of any parabola, and the growth of the errors that frames share.
+
+        Triangles known in few frames have few differences: `_USUAL` more are taken as usual for their deviation.
         """
         strain, deviation = (self.results[name][:].astype(np.float64) for name in ("strain", "strain_std"))
-        third = np.diff(strain, 3, axis=0)
-        noise = np.sqrt(np.nansum(third**2, 0) / (20 * np.maximum(np.isfinite(third).sum(0), 1)))
+        third, stated = np.diff(strain, 3, axis=0) ** 2 / 20, np.fmax.reduce(deviation) ** 2
+        count = np.isfinite(third).sum(0)
+        usual = np.nansum(third) / (np.nansum(count * stated) or np.nan) * stated
+        noise = np.sqrt((np.nansum(third, 0) + _USUAL * usual) / (count + _USUAL))
         by_noise = self._rate(np.where(np.isfinite(strain), noise, np.nan), of_std=True)
         self.results.put("strain_rate", self._rate(strain))
         self.results.put("strain_rate_std", np.hypot(by_noise, self._rate(deviation)))
