@@ -158,6 +158,7 @@ OUTPUTS = """() => {
 def test_the_page_in_a_browser(served: Served, running: list[Player], browser: Any) -> None:
     served.live()
     page = browser.new_page()
+    page.set_default_timeout(300_000)  # ms, enough for a busy machine
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
@@ -235,6 +236,7 @@ tangential = "Ft"
     normal = arrays["traces"][:, facts["trace_columns"].index("normal_force")]
     assert (np.diff(normal) > 0).all()
     page = browser.new_page()
+    page.set_default_timeout(300_000)  # ms, enough for a busy machine
     page.goto(f"http://127.0.0.1:{playing.port}/#token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('forces') > 5")
@@ -259,6 +261,7 @@ def test_a_page_shows_why_a_stream_has_failed(stream: Stream, browser: Any) -> N
     failing.start()
     failing.live()
     page = browser.new_page()
+    page.set_default_timeout(300_000)  # ms, enough for a busy machine
     page.goto(f"http://127.0.0.1:{failing.port}/#token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     seen.set()

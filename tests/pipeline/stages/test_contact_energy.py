@@ -120,6 +120,13 @@ def test_deviation_is_true_by_coverage(frame: int) -> None:
     assert 0.90 < np.mean(np.abs(z) < 2) <= 1.0
 
 
+def test_displacement_that_noise_hides_leaves_the_energy_uncertain() -> None:
+    """Where noise is 12 times the displacement, a twentieth of the draws or fewer errs by two deviations."""
+    contact, random = contact_of(PRESS, 40), np.random.default_rng(0)
+    draws = (measured(contact, random.normal(1e-3 * contact.displacement, 7e-4), 7e-4) for _ in range(40))
+    assert np.mean([abs(found.energy - 1e-6 * contact.energy) < 2 * found.deviation for found in draws]) >= 0.95
+
+
 def test_a_field_far_from_all_points_is_uncertain() -> None:
     """The deviation of the energy holds what the field has far from all points: the ellipse ends 1 mm too far out on
     one side, as if something beside the contact belonged to it.
