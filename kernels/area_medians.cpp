@@ -14,6 +14,7 @@
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
+#include "strain.h"
 
 namespace fingerflow {
 
@@ -101,7 +102,7 @@ void fit_area(const fingerflow_area_medians& given, const AreaPoints& points, Ar
     const auto per_length = static_cast<float>(1 / given.radius), fewest = static_cast<float>(given.minimum_points);
     const auto narrow = static_cast<float>(given.least_spread * given.least_spread);
     const auto farthest = static_cast<float>(given.farthest * given.farthest), folded = static_cast<float>(given.least_ratio);
-    const float squared = given.measure == 2 ? 0.0f : 0.5f, mixed = given.measure == 0 ? 0.5f : 0.0f;
+    const float squared = squared_factor(given.measure), mixed = mixed_factor(given.measure);
     FINGERFLOW_INDEPENDENT
     for (int q = 0; q < kAreaBlock; ++q) {
         const bool enough = sums[0][q] >= fewest;
@@ -130,9 +131,8 @@ void fit_area(const fingerflow_area_medians& given, const AreaPoints& points, Ar
         fits.gradient[0][q] = hxx, fits.gradient[1][q] = hxy, fits.gradient[2][q] = hyx, fits.gradient[3][q] = hyy;
         fits.fields[0][q] = hxx + hyy;
         fits.fields[1][q] = hyx - hxy;
-        fits.fields[2][q] = hxx + squared * (hxx * hxx + hyx * hyx);
-        fits.fields[3][q] = hyy + squared * (hxy * hxy + hyy * hyy);
-        fits.fields[4][q] = (hxy + hyx) / 2 + mixed * (hxx * hxy + hyx * hyy);
+        const Strain strain = strain_of(squared, mixed, hxx, hxy, hyx, hyy);
+        fits.fields[2][q] = strain.xx, fits.fields[3][q] = strain.yy, fits.fields[4][q] = strain.xy;
     }
 }
 

@@ -8,6 +8,7 @@
 
 #include "interface.h"
 #include "parallel.h"
+#include "strain.h"
 
 namespace fingerflow {
 namespace {
@@ -34,12 +35,11 @@ bool all_finite(const float* numbers, int count) {
 // Divergence, curl, exx, eyy and exy of a gradient g, and, with its covariance, their standard deviations.
 void derive(std::int64_t measure, const float* g, const float* covariance, float* fields, float* deviations) {
     const float ux = g[0], uy = g[1], vx = g[2], vy = g[3];
-    const float squared = measure == 2 ? 0.0f : 0.5f, mixed = measure == 0 ? 0.5f : 0.0f;
+    const float squared = squared_factor(measure), mixed = mixed_factor(measure);
+    const auto strain = FINGERFLOW_ISA::strain_of(squared, mixed, ux, uy, vx, vy);
     fields[0] = ux + vy;
     fields[1] = vx - uy;
-    fields[2] = ux + squared * (ux * ux + vx * vx);
-    fields[3] = vy + squared * (uy * uy + vy * vy);
-    fields[4] = (uy + vx) / 2 + mixed * (ux * uy + vx * vy);
+    fields[2] = strain.xx, fields[3] = strain.yy, fields[4] = strain.xy;
     if (covariance == nullptr) return;
     const float direct = 2 * squared, both = 2 * mixed;  // 1 where products of gradients count
     const float by_gradient[5][4] = {{1, 0, 0, 1},
@@ -61,10 +61,10 @@ void derive(std::int64_t measure, const float* g, const float* covariance, float
 void finish(const fingerflow_frame_fields& given, Buffers& of, std::size_t k) {
     const float* const covariance = given.covariance == nullptr ? nullptr : given.covariance + 4 * k;
     const float *gradient = of.gradient.data() + 4 * k, *spread = covariance == nullptr ? nullptr : of.spread.data() + 16 * k;
-    const float unknown[16] = {kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown,
-                               kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown};
-    if (!all_finite(of.rest.data() + 2 * k, 2) || (covariance != nullptr && !all_finite(covariance, 4)))
-        gradient = unknown, spread = spread == nullptr ? nullptr : unknown;
+    if (!all_finite(of.rest.data() + 2 * k, 2) || (covariance != nullptr && !all_finite(covariance, 4))) {
+        std::fill_n(of.gradient.data() + 4 * k, 4, kUnknown);
+        if (covariance != nullptr) std::fill_n(of.spread.data() + 16 * k, 16, kUnknown);
+    }
     if (given.apart != nullptr && given.apart[k]) {
         const float *const own = given.apart_gradient + 4 * k, *const its = given.apart_covariance == nullptr ? spread : given.apart_covariance + 16 * k;
         derive(given.measure, own, covariance == nullptr ? nullptr : its, of.fields.data() + 5 * k, of.deviations.data() + (covariance == nullptr ? 0 : 5 * k));

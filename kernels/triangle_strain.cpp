@@ -12,6 +12,7 @@
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
+#include "strain.h"
 
 namespace fingerflow {
 
@@ -88,8 +89,8 @@ void deform(const Triangles& of, const TriangleFrame& frame, const Planes& plane
         const float x1 = x[count + t], x2 = x[2 * count + t], y1 = y[count + t], y2 = y[2 * count + t];
         const float ux = x1 * u1 + x2 * u2 + flat[t], uy = y1 * u1 + y2 * u2;
         const float vx = x1 * v1 + x2 * v2, vy = y1 * v1 + y2 * v2 + flat[t];
-        const float exx = ux + squared * (ux * ux + vx * vx), eyy = vy + squared * (uy * uy + vy * vy);
-        const float exy = (uy + vx) / 2 + mixed * (ux * uy + vx * vy) + flat[t];
+        const Strain of_triangle = strain_of(squared, mixed, ux, uy, vx, vy);
+        const float exx = of_triangle.xx, eyy = of_triangle.yy, exy = of_triangle.xy + flat[t];
         const float held = direct * (exx * exx + eyy * eyy) + between * (exx * eyy) + shear * (exy * exy);
         strain[3 * t] = exx;
         strain[3 * t + 1] = eyy;
@@ -205,8 +206,8 @@ void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int
                               given->products,
                               given->areas,
                               given->flat,
-                              given->measure == 2 ? 0.0f : 0.5f,
-                              given->measure == 0 ? 0.5f : 0.0f,
+                              squared_factor(given->measure),
+                              mixed_factor(given->measure),
                               static_cast<float>(given->direct),
                               static_cast<float>(given->between),
                               static_cast<float>(given->shear)};
