@@ -110,7 +110,9 @@ class Geometry:
     def lens(self) -> Lens | None:
         """Return the lens by whose distortion positions and areas are corrected; None if none is stated."""
         stated = self.calibration
-        return stated.intrinsics and Lens(stated.intrinsics, stated.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
+        if stated.intrinsics is None:
+            return None
+        return Lens(stated.intrinsics, stated.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
 
     @cached_property
     def _transform(self) -> Array:

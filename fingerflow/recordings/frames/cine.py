@@ -241,7 +241,7 @@ def _times(
     """
     if len(stamps) < 2 or np.any(np.diff(stamps) <= 0):
         unusable = "the camera's time stamps do not increase: times are from the frame rate"
-        return None, rate, [unusable] * (len(stamps) > 1)
+        return None, rate, [unusable] if len(stamps) > 1 else []
     warnings = []
     steps = np.diff(stamps)
     regular = steps <= 1.5 * np.median(steps)

@@ -137,7 +137,7 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
         f"the names of the images, as {files[0].name}, have decimal numbers, which order them: if these are times, "
         "they are not used; give the frame rate in recording.frame_rate"
     )
-    warnings = (decimals,) * any(number != int(number) for number in numbers)
+    warnings = (decimals,) if any(number != int(number) for number in numbers) else ()
     finest = Decimal(1).scaleb(min(int(number.normalize().as_tuple().exponent) for number in numbers))
     counts = [int(number / finest) for number in numbers]
     steps = np.diff(counts)
@@ -217,10 +217,10 @@ def _values(before: str, numbers: list[str]) -> list[Decimal]:
 def list_images(folder: Path) -> list[Path]:
     """Return the images in a folder, without hidden files; raise FingerflowError unless it has images of one format."""
     try:
-        paths = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+        files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     except OSError as error:
         raise FingerflowError(f"{folder}: cannot be listed ({first_line(error)}); make it readable") from None
-    files = [path for path in paths if path.is_file() and not path.name.startswith(".")]
+    files = [path for path in files if not path.name.startswith(".")]
     kinds = Counter(path.suffix.lower() for path in files)
     if not kinds:
         raise FingerflowError(f"{folder}: the folder has no images ({', '.join(SUFFIXES)}); name a file in it")
