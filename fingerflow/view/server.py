@@ -32,12 +32,13 @@ from fingerflow.view.session import Session
 _HOST = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page")
 #: Settings of uvicorn: no log of requests, web sockets, events of the application or headers of a proxy.
-_PLAIN: dict[str, Any] = {"log_level": "warning", "access_log": False, "ws": "none", "lifespan": "off"}
-_PLAIN |= {"proxy_headers": False}
-# Requests that a method of the session answers, whose name has _ for /.
-_READ = "ready setup folder frame points forces progress result result/frame result/range result/triangles"
-_SENT = "edit calibrate write process end report result/courses result/history result/table"
-_OF_SESSION = [(method, path) for method, paths in (("GET", _READ), ("POST", _SENT)) for path in paths.split()]
+_PLAIN: dict[str, Any] = {
+    "log_level": "warning",
+    "access_log": False,
+    "ws": "none",
+    "lifespan": "off",
+    "proxy_headers": False,
+}
 _BINARY, _CSV = "application/octet-stream", "text/csv; charset=utf-8"
 _REPORT_MAY = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
@@ -138,8 +139,17 @@ def application(session: Session) -> Starlette:
 
         return Route(path, endpoint, methods=[method])
 
+    read = (
+        *(session.ready, session.setup, session.folder, session.frame, session.points, session.forces),
+        *(session.progress, session.result, session.result_frame, session.result_range, session.result_triangles),
+    )
+    sent = (
+        *(session.edit, session.calibrate, session.write, session.process, session.end, session.report),
+        *(session.result_courses, session.result_history, session.result_table),
+    )
+    of_session = [*((act, "GET") for act in read), *((act, "POST") for act in sent)]
     routes = [
-        *(route(f"/api/{path}", getattr(session, path.replace("/", "_")), method) for method, path in _OF_SESSION),
+        *(route(f"/api/{act.__name__.replace('_', '/')}", act, method) for act, method in of_session),
         route("/api/variables", _variables),
         route("/api/percent", _switch_unit, "POST"),
         route("/api/calibration.png", calibration),
