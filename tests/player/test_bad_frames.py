@@ -153,8 +153,8 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
 
 
 def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
-    """The player says so where all frames are dark, and where no frame shows a contact. Lines that are lost from the
-    first frame on are the camera's, and its frames count, from the fourth on.
+    """The player warns if all frames are dark, and if no frame shows a contact. If lines of the picture are lost from
+    the first frame on, frames count from the fourth on, as the camera may have lost them for good.
     """
     small.play(np.full_like(small.frames[:8], 8))
     assert "no frame could be measured (8 dark)" in capsys.readouterr().out

@@ -49,7 +49,7 @@ def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
 
 
 def _decoded(text: str) -> Any:
-    """Return the value of a JSON text, with the arrays that `child_reader.as_json` has coded."""
+    """Decode a JSON text, and the NumPy arrays in it that `child_reader.as_json` has written as base64."""
 
     def array(entries: dict[str, Any]) -> Any:
         coded = entries.get(".npy")

@@ -36,7 +36,7 @@ def one_fit(numbers: int, noise: float, size: float, seed: int) -> tuple[Array, 
 )
 def test_fit_is_that_of_the_mean_scale(numbers: int, noise: float, size: float) -> None:
     """Coefficients and covariance agree to 1e-8 with a solution by eigenvalues, with the functions evaluated at the
-    points, at the root mean square of the scale given the displacements; noise is that at the most likely scale.
+    points, at the posterior root mean square of the scale; noise is that at the most likely scale.
 
     Sums of monomials of degree 16 are multiplied by the square of the inverse Gram matrix, which limits the agreement.
     """

@@ -1,5 +1,5 @@
-"""Inputs of a run, opened and checked: recording, background, calibration, regions of interest, frame from which
-displacement counts, and compute engine.
+"""Inputs of a run, opened and checked: recording, background, calibration, regions of interest, reference frame of the
+displacement, and compute engine.
 """
 
 from dataclasses import dataclass, field, replace

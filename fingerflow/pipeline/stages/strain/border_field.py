@@ -6,8 +6,8 @@ With r the relative radius in the border's ellipse and places z in its unit disc
 
 where P_k are the polynomials up to degree 8, and the functions of the sum are made orthonormal on the disc. The
 coefficients are independent Gaussian numbers beforehand, of variance t^2 / degree^8: a prior of smoothness, whose scale
-t is the root mean square given the displacements, by its marginal likelihood (Rasmussen & Williams 2006, equation 5.8)
-and a uniform prior of t (Gelman 2006). The most likely scale would be 0, and known, where noise hides a displacement.
+t is its posterior root mean square, by its marginal likelihood (Rasmussen & Williams 2006, equation 5.8) and a uniform
+prior of t (Gelman 2006). Where noise hides a displacement, the most likely scale would be 0.
 
 A field that moves at the border has, in addition, the harmonic polynomials r^m cos(m a) and r^m sin(m a), m up to 4,
 of the angle a. At the border these are a Fourier series of the displacement. Their coefficients have a prior standard
@@ -148,9 +148,11 @@ class BorderFunctions:
 
 
 def _find_scales(normal: Array, numbers: Numbers, smooth: int) -> tuple[Array, Array]:
-    """Find the prior standard deviation t of the first `smooth` coefficients in each of n fits, add 1 / t^2 (and 1 for
-    the other coefficients) to the normal equations in place, and return the noise variance (n,) relative to the stated
-    one and twice the log-likelihood (n,), up to a constant, both at the most likely scale.
+    """Compute the prior standard deviation t of the first `smooth` coefficients in each of n fits, its posterior root
+    mean square, and add 1 / t^2 (1 for the other coefficients) to the normal equations in place.
+
+    Return the noise variance (n,) relative to the stated one and twice the log-likelihood (n,), up to a constant, both
+    at the most likely scale.
 
     The equations of the first coefficients, given the best others, are diagonal in their eigenvectors for every t.
     """

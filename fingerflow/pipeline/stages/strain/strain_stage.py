@@ -264,7 +264,7 @@ class StrainStage(Stage):
 
 
 class MissingEnergy:
-    """Estimator of the error of the strain energy that triangles with unknown strain cause.
+    """Estimator of the error of the strain energy that is due to triangles whose strain is unknown.
 
     Frames must be added in order of time.
 
