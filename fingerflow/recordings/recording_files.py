@@ -4,7 +4,6 @@ from collections import defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
 from filecmp import cmp
-from itertools import combinations
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
@@ -27,19 +26,28 @@ def files_of(recording: Path) -> list[Path]:
 
 
 def equal_recordings(recordings: Iterable[Path]) -> list[tuple[Path, Path]]:
-    """Return the pairs of recordings, or of the same member of two, whose files have the same bytes; one that cannot be
-    read is in none.
+    """Return a pair for each recording whose files have the same bytes as those of an earlier one: the first such, or
+    the same member of it, and the recording. One that cannot be read is in none.
 
-    Files are compared as a whole only where their sizes and bytes in the middle are the same.
+    Files are compared as a whole only where their sizes and bytes in the middle are the same, and not read where they
+    are links to one file.
     """
     alike: dict[tuple[object, ...], list[Path]] = defaultdict(list)
+    pairs = []
     for recording in recordings:
         with suppress(OSError, FingerflowError):
             files = files_of(recording)
             middle, sizes = files[len(files) // 2], tuple(map(check_file, files))
             with middle.open("rb") as opened:
                 opened.seek(middle.stat().st_size // 2)
-                alike[str(recording).partition("::")[2], sizes, opened.read(_SAMPLE_BYTES)].append(recording)
-    pairs = (pair for group in alike.values() for pair in combinations(group, 2))
-    together = ((pair, zip(*map(files_of, pair), strict=True)) for pair in pairs)
-    return [pair for pair, files in together if all(cmp(first, second, False) for first, second in files)]
+                different = alike[str(recording).partition("::")[2], sizes, opened.read(_SAMPLE_BYTES)]
+            equal = (other for other in different if all(map(_same_bytes, files_of(other), files)))
+            if (first := next(equal, None)) is None:
+                different.append(recording)
+            else:
+                pairs.append((first, recording))
+    return pairs
+
+
+def _same_bytes(first: Path, second: Path) -> bool:
+    return first.samefile(second) or cmp(first, second, shallow=False)

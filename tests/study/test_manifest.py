@@ -1,5 +1,6 @@
 """Tests of the manifest of a study and its table, and errors that name the row."""
 
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -8,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings import recording_files
+from fingerflow.recordings.recording_files import equal_recordings
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, load_manifest
 from tests.small_trials import edit
@@ -143,6 +146,20 @@ def test_a_recording_copied_over_another_is_named(study: Manifest, lab: Path) ->
     shutil.copy(lab / "p01/0um/trial1/frames.npy", lab / "p02/2um/trial3/frames.npy")
     said = load_manifest(lab).matched
     assert said.startswith("trials 01_0_1 and 02_2_3 show one recording: p01/0um/trial1/frames.npy and p02/")
+
+
+def test_equal_recordings_are_read_once_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of n copies n - 1 are compared with the first, not each with each; links to one file are not read."""
+    copies = [tmp_path / f"{number}.npy" for number in range(8)]
+    for copy in copies:
+        copy.write_bytes(b"frames")
+    copies[7].unlink()
+    os.link(copies[6], copies[7])
+    compared = []
+    monkeypatch.setattr(recording_files, "cmp", lambda *files, **_: bool(compared.append(files)) or True)
+    assert equal_recordings(copies) == [(copies[0], copy) for copy in copies[1:]]
+    assert equal_recordings(copies[6:]) == [(copies[6], copies[7])]
+    assert compared == [(copies[0], copy) for copy in copies[1:]]
 
 
 def test_names_of_trials_never_collide(study: Manifest, lab: Path) -> None:
