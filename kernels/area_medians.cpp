@@ -40,6 +40,13 @@ struct AreaFits {
     float fields[kAreaFields][kAreaBlock];
 };
 
+struct AreaBlock {
+    AreaFits fits;
+    int positions;
+    AreaPoints points;
+    std::int64_t apart[kAreaBlock];  // index of the point with fields of its own that a position takes, or -1
+};
+
 namespace FINGERFLOW_ISA {
 namespace {
 
@@ -136,6 +143,52 @@ void fit_area(const fingerflow_area_medians& given, const AreaPoints& points, Ar
     }
 }
 
+// Gives a position without a fit the fields of the nearest position with one, with the trace of the strain of a plane
+// fitted to those known within a gauge length, unless the nearest has the fields of a point of its own. Points end before the
+// border of the contact, and medians without its rim would be those of the inner part.
+void fill_area(const fingerflow_area_medians& given, AreaBlock* blocks, std::int64_t count) {
+    const auto far = static_cast<float>(given.same_place * given.same_place);
+    const auto narrow = 4 * static_cast<float>(given.least_spread * given.least_spread);
+    for (std::int64_t place = 0; place < count * kAreaBlock; ++place) {
+        const std::int64_t q = place % kAreaBlock;
+        AreaFits& to = blocks[place / kAreaBlock].fits;
+        if (q >= blocks[place / kAreaBlock].positions || to.known[q] > 0) continue;
+        // Weighted sums of 1, x, y, their products and those with the trace of the strain.
+        Floats weighted[16] = {}, nearest = all(far), at = all(-1);  // number of the nearest position, less its lane
+        for (std::int64_t number = 0; number < count * kAreaBlock; number += kFloats) {
+            const AreaFits& from = blocks[number / kAreaBlock].fits;
+            const std::int64_t first = number % kAreaBlock;
+            const Floats x = load(from.x + first) - to.x[q], y = load(from.y + first) - to.y[q], square = x * x + y * y;
+            const Floats left = 1.0f - square * 0.25f, usable = is_positive(load(from.known + first)) * is_positive(left);
+            const Floats w = usable * left * left, wx = w * x, wy = w * y;
+            const Floats trace = load(from.fields[2] + first) + load(from.fields[3] + first);
+            const Floats terms[9] = {w, wx, wy, wx * x, wx * y, wy * y, w * trace, wx * trace, wy * trace};
+            for (int s = 0; s < 9; ++s) weighted[s] += terms[s];
+            const Floats away = square + (1.0f - usable) * 1e30f, closer = is_positive(nearest - away);
+            nearest = lesser(nearest, away);
+            at += closer * (static_cast<float>(number) - at);
+        }
+        int lane = 0;
+        for (int k = 1; k < kFloats; ++k)
+            if (nearest[k] < nearest[lane] || (nearest[k] == nearest[lane] && at[k] + k < at[lane] + lane)) lane = k;
+        if (at[lane] < 0) continue;
+        const std::int64_t chosen = static_cast<std::int64_t>(at[lane]) + lane;
+        const AreaBlock& block = blocks[chosen / kAreaBlock];
+        to.known[q] = -1;
+        for (auto& field : to.fields) field[q] = block.fits.fields[&field - to.fields][chosen % kAreaBlock];
+        float of[16];
+        sums(weighted, of);
+        const float x = of[1] / of[0], y = of[2] / of[0], xx = of[3] - x * of[1], xy = of[4] - x * of[2], yy = of[5] - y * of[2];
+        const float xf = of[7] - x * of[6], yf = of[8] - y * of[6], mixed = x * (yy * xf - xy * yf) + y * (xx * yf - xy * xf);
+        const float least = narrow * of[0];
+        if (block.apart[chosen % kAreaBlock] >= 0 || !(xx > least && (xx - least) * (yy - least) > xy * xy)) continue;
+        const float added = of[6] / of[0] - mixed / (xx * yy - xy * xy) - to.fields[2][q] - to.fields[3][q];
+        to.fields[0][q] += added;
+        to.fields[2][q] += added / 2;
+        to.fields[3][q] += added / 2;
+    }
+}
+
 // Adds to `shares` (points of the frame, kAreaShares) the sensitivity of the weighted sum of the fields near their
 // `medians` to each point's displacement, and to `total` the sum of the weights. `own` (2, 2) is the mean covariance of a
 // point; `memory` has space for 2 kAreaBlock count floats.
@@ -221,6 +274,7 @@ void add_shares(const fingerflow_area_medians& given, const AreaPoints& points, 
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(fit_area)
+FINGERFLOW_OTHER_SETS(fill_area)
 FINGERFLOW_OTHER_SETS(add_shares)
 namespace {
 
@@ -262,7 +316,7 @@ public:
         values.reserve(size(given_.positions));
         for (int field = 0; field < kAreaFields; ++field) {
             values.clear();
-            for (const Block& block : blocks_)
+            for (const AreaBlock& block : blocks_)
                 for (int q = 0; q < block.positions; ++q)
                     if (block.fits.known[q] != 0) values.push_back(block.fits.fields[field][q]);
             const double share = static_cast<double>(values.size()) / static_cast<double>(given_.positions);
@@ -276,13 +330,6 @@ public:
 private:
     template <class Number>
     static Number* part(Number* all, std::int64_t first) { return all == nullptr ? nullptr : all + first; }
-
-    struct Block {
-        AreaFits fits;
-        int positions;
-        AreaPoints points;
-        std::int64_t apart[kAreaBlock];  // index of the point with fields of its own that a position takes, or -1
-    };
 
     // Sorts the usable points around the ellipse into cells of half a radius, with the mean displacement subtracted,
     // and lists the points with fields of their own that are known.
@@ -358,7 +405,7 @@ private:
         // Each block reserves space for all points; pages that stay unused are never touched.
         auto* memory = static_cast<float*>(workspace(blocks_.size() * kNumbers * number_.size() * sizeof(float)));
         std::int64_t first = 0;
-        for (Block& block : blocks_) {
+        for (AreaBlock& block : blocks_) {
             block.positions = static_cast<int>(std::min<std::int64_t>(kAreaBlock, given_.positions - first));
             for (int q = 0; q < kAreaBlock; ++q) {
                 const float* const place = given_.lattice + 2 * (first + std::min(q, block.positions - 1));
@@ -374,56 +421,12 @@ private:
             first += kAreaBlock;
             memory += kNumbers * number_.size();
         }
-        fill();
-    }
-
-    // Gives a position without a fit the fields of the nearest position with one, with the trace of the strain of a plane
-    // fitted to those known within a gauge length, unless the nearest has the fields of a point of its own. Points end before the
-    // border of the contact, and medians without its rim would be those of the inner part.
-    void fill() {
-        for (Block& block : blocks_)
-            for (int q = 0; q < block.positions; ++q) {
-                if (block.fits.known[q] > 0) continue;
-                // Weighted sums of 1, x, y, their products and those with the trace f of the strain: registers, as an array would be memory.
-                float nearest = far_, mass = 0, sx = 0, sy = 0, sxx = 0, sxy = 0, syy = 0, sf = 0, sxf = 0, syf = 0;
-                auto& to = block.fits.fields;
-                bool follows = false;
-                for (const Block& other : blocks_)
-                    for (int p = 0; p < other.positions; ++p) {
-                        const auto& from = other.fits.fields;
-                        const float x = other.fits.x[p] - block.fits.x[q], y = other.fits.y[p] - block.fits.y[q];
-                        const float square = x * x + y * y, left = 1 - square / 4;
-                        if (!(other.fits.known[p] > 0 && left > 0)) continue;
-                        const float w = left * left, wx = w * x, wy = w * y, f = from[2][p] + from[3][p];
-                        mass += w;
-                        sx += wx;
-                        sy += wy;
-                        sxx += wx * x;
-                        sxy += wx * y;
-                        syy += wy * y;
-                        sf += w * f;
-                        sxf += wx * f;
-                        syf += wy * f;
-                        if (!(square < nearest)) continue;
-                        nearest = square;
-                        block.fits.known[q] = -1;
-                        follows = other.apart[p] < 0;
-                        for (int field = 0; field < kAreaFields; ++field) to[field][q] = from[field][p];
-                    }
-                const float x = sx / mass, y = sy / mass, xx = sxx - x * sx, xy = sxy - x * sy, yy = syy - y * sy;
-                const float xf = sxf - x * sf, yf = syf - y * sf, mixed = x * (yy * xf - xy * yf) + y * (xx * yf - xy * xf);
-                const auto least = 4 * static_cast<float>(given_.least_spread * given_.least_spread) * mass;
-                if (!follows || !(xx > least && (xx - least) * (yy - least) > xy * xy)) continue;
-                const float added = sf / mass - mixed / (xx * yy - xy * xy) - to[2][q] - to[3][q];
-                to[0][q] += added;
-                to[2][q] += added / 2;
-                to[3][q] += added / 2;
-            }
+        FINGERFLOW_PICK(fill_area)(given_, blocks_.data(), static_cast<std::int64_t>(blocks_.size()));
     }
 
     // Gives a position the fields of its nearest point where that point has fields of its own; unknown where it is too
     // far.
-    void take_apart(Block& block) const {
+    void take_apart(AreaBlock& block) const {
         float nearest[kAreaBlock];
         std::fill_n(nearest, kAreaBlock, 1.0f);  // points farther than a radius are not considered
         for (std::int64_t k = 0; k < block.points.count; ++k)
@@ -474,7 +477,7 @@ private:
     void deviate() {
         float total[kAreaFields] = {};
         double joint[kAreaFields] = {};  // of points with fields of their own, whose errors are taken as fully correlated
-        for (Block& block : blocks_)
+        for (AreaBlock& block : blocks_)
             for (int q = 0; q < block.positions; ++q)
                 if (block.apart[q] >= 0 && block.fits.known[q] > 0) {
                     block.fits.known[q] = 0;  // no fit
@@ -488,7 +491,7 @@ private:
                     }
                 }
         std::vector<float> all(number_.size() * kAreaShares), memory;
-        for (const Block& block : blocks_) {
+        for (const AreaBlock& block : blocks_) {
             memory.resize(std::max(memory.size(), 2 * kAreaBlock * size(block.points.count)));
             FINGERFLOW_PICK(add_shares)(given_, block.points, block.fits, medians_, own_, memory.data(), all.data(), total);
         }
@@ -517,7 +520,7 @@ private:
     std::int64_t cells_[2] = {};
     std::vector<std::int64_t> starts_, number_, places_apart_;
     std::vector<float> of_points_[5];  // x, y, u, v and noise
-    std::vector<Block> blocks_;
+    std::vector<AreaBlock> blocks_;
 };
 
 }  // namespace

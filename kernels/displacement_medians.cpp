@@ -41,21 +41,26 @@ public:
         const std::int64_t column = index(x), row = index(y);
         const Point* found = nullptr;
         double least = reach * reach;
-        for (std::int64_t ring = 0; ring < count_; ++ring) {
+        const auto search = [&](std::int64_t r, std::int64_t first, std::int64_t last) {
+            if (r < 0 || r >= count_ || first >= count_ || last < 0) return;
+            const std::size_t end = starts_[size(r * count_ + std::min(last, count_ - 1) + 1)];
+            for (std::size_t k = starts_[size(r * count_ + std::max<std::int64_t>(first, 0))]; k < end; ++k) {
+                const double dx = sorted_[k].x - x, dy = sorted_[k].y - y, distance = dx * dx + dy * dy;
+                if (distance < least) least = distance, found = &sorted_[k];
+            }
+        };
+        for (std::int64_t r = row - 1; r <= row + 1; ++r) search(r, column - 1, column + 1);
+        for (std::int64_t ring = 2; ring < count_; ++ring) {
             // Points of this ring are at least this far away.
             const double away = static_cast<double>(ring - 1) * side_;
-            if (ring > 1 && away * away >= least) break;
-            for (std::int64_t r = std::max<std::int64_t>(row - ring, 0); r <= std::min(row + ring, count_ - 1); ++r) {
-                const bool whole = r == row - ring || r == row + ring || ring == 0;
-                for (std::int64_t c = column - ring; c <= column + ring; c += whole ? 1 : 2 * ring) {
-                    if (c < 0 || c >= count_) continue;
-                    const auto at = size(r * count_ + c);
-                    for (std::size_t k = starts_[at]; k < starts_[at + 1]; ++k) {
-                        const double dx = sorted_[k].x - x, dy = sorted_[k].y - y, distance = dx * dx + dy * dy;
-                        if (distance < least) least = distance, found = &sorted_[k];
-                    }
+            if (away * away >= least) break;
+            for (std::int64_t r = row - ring; r <= row + ring; ++r)
+                if (r == row - ring || r == row + ring) {
+                    search(r, column - ring, column + ring);
+                } else {
+                    search(r, column - ring, column - ring);
+                    search(r, column + ring, column + ring);
                 }
-            }
         }
         return found;
     }

@@ -32,8 +32,8 @@ bool all_finite(const float* numbers, int count) {
     return std::all_of(numbers, numbers + count, [](float number) { return std::isfinite(number); });
 }
 
-// Divergence, curl, exx, eyy and exy of a gradient g, and, with its covariance, their standard deviations.
-void derive(std::int64_t measure, const float* g, const float* covariance, float* fields, float* deviations) {
+// Divergence, curl, exx, eyy and exy of a gradient g, and, with its covariance, the standard deviations of the first `count`.
+void derive(std::int64_t measure, const float* g, const float* covariance, float* fields, float* deviations, int count) {
     const float ux = g[0], uy = g[1], vx = g[2], vy = g[3];
     const float squared = squared_factor(measure), mixed = mixed_factor(measure);
     const auto strain = FINGERFLOW_ISA::strain_of(squared, mixed, ux, uy, vx, vy);
@@ -47,7 +47,7 @@ void derive(std::int64_t measure, const float* g, const float* covariance, float
                                      {1 + direct * ux, 0, direct * vx, 0},
                                      {0, direct * uy, 0, 1 + direct * vy},
                                      {both * uy / 2, (1 + both * ux) / 2, (1 + both * vy) / 2, both * vx / 2}};
-    for (int field = 0; field < 5; ++field) {
+    for (int field = 0; field < count; ++field) {
         const float* const s = by_gradient[field];
         float variance = 0;
         for (int i = 0; i < 4; ++i)
@@ -67,12 +67,12 @@ void finish(const fingerflow_frame_fields& given, Buffers& of, std::size_t k) {
     }
     if (given.apart != nullptr && given.apart[k]) {
         const float *const own = given.apart_gradient + 4 * k, *const its = given.apart_covariance == nullptr ? spread : given.apart_covariance + 16 * k;
-        derive(given.measure, own, covariance == nullptr ? nullptr : its, of.fields.data() + 5 * k, of.deviations.data() + (covariance == nullptr ? 0 : 5 * k));
+        derive(given.measure, own, covariance == nullptr ? nullptr : its, of.fields.data() + 5 * k, of.deviations.data() + (covariance == nullptr ? 0 : 5 * k), 5);
         // A lost point has no gradient.
         if (all_finite(given.displacement + 2 * k, 2)) gradient = own, spread = covariance == nullptr ? nullptr : its;
     }
-    float fields[5], deviations[5];
-    derive(given.measure, gradient, spread, fields, deviations);
+    float fields[5], deviations[2];
+    derive(given.measure, gradient, spread, fields, deviations, 2);
     given.divergence[k] = fields[0];
     given.curl[k] = fields[1];
     std::copy(fields + 2, fields + 5, given.strain + 3 * k);
