@@ -1,9 +1,10 @@
 // Means of subsampled frames over blocks and over lines (fingerflow/tracker/block_means.py).
 // One pixel of `along` of every `down`-th line is read, beginning at along / 2 and down / 2. These samples are divided
-// into rows x columns blocks that cover all of them; neighbouring blocks share samples where counts do not divide.
+// into rows x columns blocks that cover all of them; neighbouring blocks share samples where counts do not divide. Samples
+// of every `every`-th line that is read are returned, too.
 // For `strip_differences` lines are read in strips of 18, of which the first begin at multiples of 16, and of each line some
 // 20 pixels, along rows and along columns.
-// Layout: results are contiguous, blocks (batch, rows, columns) and lines (batch, lines read). Sums of integer pixels
+// Layout: results are contiguous, blocks (batch, rows, columns), lines (batch, lines read), pixels (batch, lines, samples). Sums of integer pixels
 // are exact, those of floats are doubles.
 #include <algorithm>
 #include <cfloat>
@@ -35,7 +36,7 @@ std::vector<Piece> cut(std::int64_t count, std::int64_t pieces) {
 }
 
 struct Sampled {
-    std::int64_t read, across, row_stride, down, along;
+    std::int64_t read, across, row_stride, down, along, every;
     std::vector<Piece> rows, columns;
 };
 
@@ -51,7 +52,7 @@ void read_line(const Pixel* row, std::int64_t along, std::vector<Number>& to) {
 }
 
 template <class Pixel>
-void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* lines) {
+void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* lines, float* pixels) {
     constexpr bool whole = std::is_integral_v<Pixel>;
     using Sum = std::conditional_t<whole, std::int64_t, double>;
     // A line has a few hundred samples: 32 bits hold a sum of 16-bit values.
@@ -68,6 +69,8 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
         for (std::int64_t byte = 0; byte < given.across * given.along * static_cast<std::int64_t>(sizeof(Pixel)); byte += 64)
             FINGERFLOW_PREFETCH(next + byte);
         read_line(row, given.along, numbers);
+        if (line % given.every == 0)
+            pixels = std::transform(numbers.begin(), numbers.end(), pixels, [](Number number) { return static_cast<float>(number); });
         lines[line] = mean(std::accumulate(numbers.begin(), numbers.end(), Number(0)), given.across);
         for (const Piece& piece : given.columns)
             sums.push_back(std::accumulate(numbers.begin() + piece.first, numbers.begin() + piece.end, Number(0)));
@@ -138,16 +141,18 @@ void fingerflow_strip_differences(const fingerflow_frames* frames /* 1 x 1 */, s
     });
 }
 
-// Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
+// Means of frames over blocks, and over lines (batch, lines that are read), and pixels of some of these lines, as
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down /* from 1 */, std::int64_t along /* from 1 */, std::int64_t rows,
-    std::int64_t columns, float* blocks /* (batch, rows, columns) */, float* lines /* (batch, (height - down / 2 + down - 1) / down) */, int threads) {
+    std::int64_t columns, std::int64_t every /* from 1 */, float* blocks /* (batch, rows, columns) */,
+    float* lines /* (batch, (height - down / 2 + down - 1) / down) */,
+    float* pixels /* (batch, ((height - down / 2 + down - 1) / down + every - 1) / every, (width - along / 2 + along - 1) / along) */, int threads) {
     using namespace fingerflow;
     const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
-    const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along);
-    const Sampled given{lines_read, across, frames->row_stride, down, along, cut(lines_read, rows), cut(across, columns)};
+    const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along), kept = (lines_read + every - 1) / every;
+    const Sampled given{lines_read, across, frames->row_stride, down, along, every, cut(lines_read, rows), cut(across, columns)};
     parallel_for(frames->batch, threads, [&](std::int64_t frame) {
         const auto find = [&](const auto* data) {
-            means_of(data + frame * frames->frame_stride, given, blocks + frame * rows * columns, lines + frame * given.read);
+            means_of(data + frame * frames->frame_stride, given, blocks + frame * rows * columns, lines + frame * given.read, pixels + frame * kept * across);
         };
         FINGERFLOW_FOR_PIXEL(frames->kind, frames->data, find)
     });

@@ -20,32 +20,35 @@ _ROUGH, _ROUGHER, _ALIKE = 0.2, 2.0, 1.6  # limits of `is_noise`
 _TINY = np.finfo(np.float32).tiny
 _PERIOD = 16  # px, after which borders of blocks of 2, 4, 8 or 16 px repeat, and every second one of 32 px
 _SAMPLES = (128, 160)  # least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read
+_KEPT = 64  # least number of these lines whose pixels are returned
 
 
-def block_means(frames: Array) -> tuple[Array, Array]:
+def block_means(frames: Array) -> tuple[Array, Array, Array]:
     """Return the means of frames (n, H, W), float32: over the rectangular blocks of a grid (n, rows, columns), of 24 x
-    24 px or more, and over sampled lines of pixels (n, lines).
+    24 px or more, and over sampled lines of pixels (n, lines); and the sampled pixels (n, kept lines, pixels), float32,
+    of some of these lines.
 
     There are up to 16 x 16 blocks. Some 20,000 pixels of a frame are read, every fourth of every fourth line of 512 x
-    640 px. Sums are exact for integers of up to 32 bit, so that equal frames have equal means; a pixel that is NaN
-    makes its own blocks NaN.
+    640 px, and those of every second of these lines are returned. Sums are exact for integers of up to 32 bit, so that
+    equal frames have equal means; a pixel that is NaN makes its own blocks NaN.
 
     Raises:
         ValueError: `frames` is not (n, H, W), or has no pixels.
     """
     if frames.ndim != 3 or 0 in frames.shape[1:]:
         raise ValueError(f"frames have shape {frames.shape}: give (n, H, W)")
-    (down, along), (rows, columns) = _grid(*frames.shape[1:])
+    (down, along), (rows, columns), every = _grid(*frames.shape[1:])
     if is_present() and KINDS[frames.dtype] in FRAME_KINDS:
-        grid = {"down": down, "along": along, "rows": rows, "columns": columns}
-        blocks, lines = compiled("block_means")(frames=frames[:, None], **grid)
-        return blocks, lines
-    sums = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float64)
+        grid = {"down": down, "along": along, "rows": rows, "columns": columns, "every": every}
+        blocks, lines, pixels = compiled("block_means")(frames=frames[:, None], **grid)
+        return blocks, lines, pixels
+    sampled = frames[:, down // 2 :: down, along // 2 :: along]
+    pixels, sums = sampled[:, ::every].astype(np.float32), sampled.astype(np.float64)
     lines = sums.mean(2)
     sums, lines_each = _sums(sums, 1, rows)
     sums, pixels_each = _sums(sums, 2, columns)
     blocks = sums / (lines_each[:, None] * pixels_each)
-    return blocks.astype(np.float32), lines.astype(np.float32)
+    return blocks.astype(np.float32), lines.astype(np.float32), pixels
 
 
 class PictureCheck:
@@ -64,7 +67,7 @@ class PictureCheck:
 
     def __init__(self, glass: Array, dark: Array | None, top: float) -> None:
         self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
-        (self.glass,), (self.lines,) = block_means(glass[None])
+        (self.glass,), (self.lines,), _ = block_means(glass[None])
         self.least = self.black + DARK_SHARE * (float(self.glass.mean()) - self.black)
         self._roughness = max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
         self._top = top
@@ -123,15 +126,15 @@ def strip_differences(frames: Array, apart: int) -> Array:
 
 
 @functools.cache
-def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return, for frames of `height` x `width` px, the steps at which lines and the pixels of a line are sampled, and
-    the numbers of rows and columns of blocks into which a frame is divided.
+def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int], int]:
+    """Return, for frames of `height` x `width` px, the steps at which lines and the pixels of a line are sampled, the
+    numbers of rows and columns of blocks into which a frame is divided, and the step at which sampled lines are kept.
     """
     sides = height, width
     down, along = (max(1, side // samples) for side, samples in zip(sides, _SAMPLES, strict=True))
-    read = (len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True))
+    read = [len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True)]
     rows, columns = (min(max(1, side // _BLOCK_PX), _BLOCKS, count) for side, count in zip(sides, read, strict=True))
-    return (down, along), (rows, columns)
+    return (down, along), (rows, columns), max(1, read[0] // _KEPT)
 
 
 def _sums(values: Array, axis: int, pieces: int) -> tuple[Array, Array]:

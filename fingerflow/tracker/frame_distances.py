@@ -11,9 +11,6 @@ from fingerflow.kernels.library import compiled, is_present
 
 #: Largest number of consecutive frames in which an image may jump away; if it returns later, no jump is detected.
 LONGEST = 3
-# Single pixels, unlike means over blocks, show a motion of a tenth of a pixel, so some 10,000 of them are compared.
-# Least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read.
-_LINES, _PIXELS = 64, 160
 _BANDS = 8  # number of groups of lines that are compared separately: a tear, or lost lines, lie in a few of them
 # Units of the distances of image pattern and log brightness: the least distances that count. Noise lies below the
 # first, and `illumination_gain` handles changes of light smaller than the second.
@@ -26,26 +23,22 @@ class PixelSamples(NamedTuple):
     """Grey levels of sampled pixels (n, lines, pixels) of n frames, divided by their mean in each frame, and the
     logarithm (n,) of that mean.
 
-    The division removes the flicker of a lamp.
+    Single pixels, unlike means over blocks, show a motion of a tenth of a pixel. The division removes the flicker of a
+    lamp.
     """
 
     pattern: Array
     light: Array
 
     @classmethod
-    def sample(cls, *frames: Array) -> PixelSamples:
-        """Sample pixels of arrays of frames (n, H, W), one array after another, on a regular grid; pixels that are not
-        finite count as 0.
+    def of(cls, *pixels: Array) -> PixelSamples:
+        """Return the samples of sampled pixels (n, lines, pixels) of frames, float32, one array after another
+        (`block_means`); pixels that are not finite count as 0.
         """
-        _, height, width = frames[0].shape
-        down, along = max(1, height // _LINES), max(1, width // _PIXELS)
-        grids = [array[:, down // 2 :: down, along // 2 :: along] for array in frames]
-        pixels = np.concatenate(grids, dtype=np.float32)
-        if frames[0].dtype.kind == "f":
-            np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        mean = np.maximum(np.add.reduce(pixels, (1, 2)) / pixels[0].size, _TINY)
-        pixels /= mean[:, None, None]
-        return cls(pixels, np.log(mean))
+        sampled = np.nan_to_num(np.concatenate(pixels), copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        mean = np.maximum(np.add.reduce(sampled, (1, 2)) / sampled[0].size, _TINY)
+        sampled /= mean[:, None, None]
+        return cls(sampled, np.log(mean))
 
     def rows(self, frames: slice) -> PixelSamples:
         """Return the samples of the frames in a slice."""

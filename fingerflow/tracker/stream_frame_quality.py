@@ -82,11 +82,11 @@ class FrameCheck:
         Any thread may call it.
         """
         images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
-        blocks, lines = zip(*map(block_means, images), strict=True)
+        blocks, lines, pixels = zip(*map(block_means, images), strict=True)
         status = int(self._alone.status(images[0], blocks[0])[0])
         if status not in (DARK, SATURATED) and np.logical_or.reduce(self._lit & (lines[0] < self._alone.least), None):
             status = JUMPS
-        return Picture(status, PixelSamples.sample(*images), frame_copies.frame_key(blocks), number)
+        return Picture(status, PixelSamples.of(*pixels), frame_copies.frame_key(blocks), number)
 
     def update(self, picture: Picture) -> list[int]:
         """Determine the status of a frame, given as the result of `inspect`, by comparison with earlier frames; return

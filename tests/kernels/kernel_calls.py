@@ -133,7 +133,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
         ),
         "covered": call(covers, glass, points[None], np.ones((2, 3), np.float32), 4),
         "strip_differences": call(compiled("strip_differences"), frames=frames, apart=1),
-        "block_means": call(compiled("block_means"), frames=frames, down=2, along=2, rows=4, columns=4),
+        "block_means": call(compiled("block_means"), frames=frames, down=2, along=2, rows=4, columns=4, every=2),
         "correct_points": call(
             tracking.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0
         ),

@@ -217,8 +217,10 @@ def without_fault(folder: Path, few: bool) -> Iterator[Case]:
 
 
 def _clean(name: str, *views: Frames) -> Case:
-    distances = np.concatenate([squared_distances_before(PixelSamples.sample(view), None) for view in views], axis=2)
-    keys = [frame_key(blocks) for blocks in zip(*(block_means(view)[0] for view in views), strict=True)]
+    means = [block_means(view) for view in views]
+    samples = [PixelSamples.of(pixels) for _, _, pixels in means]
+    distances = np.concatenate([squared_distances_before(each, None) for each in samples], axis=2)
+    keys = [frame_key(blocks) for blocks in zip(*(blocks for blocks, _, _ in means), strict=True)]
     copied = copies(keys, np.ones(len(keys), dtype=bool))
     excluded = np.setdiff1d(np.flatnonzero(copied | jumps_and_returns(distances, ~copied)), KNOWN.get(name, []))
     verdict = "false alarm" if len(excluded) else "right"

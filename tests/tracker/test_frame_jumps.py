@@ -10,6 +10,7 @@ from fingerflow.engines.engine import Array
 from fingerflow.kernels.library import is_present
 from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker import frame_distances
+from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import is_jump, jumps_and_returns
@@ -36,7 +37,7 @@ def distances(frames: Array, size: int = 8) -> Array:
     """Return the distances of frames from earlier ones, computed for `size` frames at a time as a stage does."""
     before, parts = None, []
     for k in range(0, len(frames), size):
-        samples = PixelSamples.sample(frames[k : k + size])
+        samples = PixelSamples.of(block_means(frames[k : k + size])[2])
         parts.append(squared_distances_before(samples, before))
         before = samples.last(LONGEST + 1, before)
     return np.concatenate(parts)

@@ -14,6 +14,7 @@ import pytest
 from fingerflow.engines.engine import Array
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker import frame_tracker
+from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import jumps_and_returns
 from fingerflow.tracker.stream_frame_quality import FrameCheck
@@ -69,7 +70,7 @@ def test_a_frame_between_dark_ones_counts() -> None:
     assert _statuses(skins) == ["dark", "usable", "dark"] + ["usable"] * 17
     frames = np.concatenate([_view(skin, k)[0] for k, skin in enumerate(skins)])
     usable = ~np.isin(np.arange(20), (0, 2))
-    assert not jumps_and_returns(squared_distances_before(PixelSamples.sample(frames), None), usable).any()
+    assert not jumps_and_returns(squared_distances_before(PixelSamples.of(block_means(frames)[2]), None), usable).any()
 
 
 @pytest.mark.parametrize(("length", "later"), [(1, -15), (2, 10), (LONGEST, 20)])

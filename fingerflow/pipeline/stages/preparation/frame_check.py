@@ -51,7 +51,8 @@ class FrameCheckStage(Stage):
         view_blocks = []
         for k, view in enumerate(self._views):
             frames = self.inputs.counts(batch.frames, view)
-            blocks = np.nan_to_num(block_means(frames)[0], nan=0.0, posinf=0.0, neginf=0.0)
+            means, _, pixels = block_means(frames)
+            blocks = np.nan_to_num(means, nan=0.0, posinf=0.0, neginf=0.0)
             if k == 0:
                 self._status[indices] = self._alone.status(frames, blocks)
                 lost = np.abs(blocks - self._alone.glass).max((1, 2))
@@ -59,7 +60,7 @@ class FrameCheckStage(Stage):
             if frames.dtype.kind == "f":
                 self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = NOT_FINITE
             view_blocks.append(blocks)
-            samples = PixelSamples.sample(frames)
+            samples = PixelSamples.of(pixels)
             self._distances[k].append(squared_distances_before(samples, self._before[k]))
             self._before[k] = samples.last(LONGEST + 1, self._before[k])
         self._keys += map(frame_copies.frame_key, zip(*view_blocks, strict=True))
