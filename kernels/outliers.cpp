@@ -5,25 +5,29 @@
 // Disagreement with neighbours j above a plane: harmonic mean of 1 + z_j^2, z_j^2 = |du_j|^2 / (var + var_j), for
 // slopes 0, slopes fitted to the neighbours, and slopes averaged over neighbours; the least of the three counts.
 // Layout: kOutlierColumns columns of `stride` floats a frame, one a point (OutlierFrame); neighbours are (neighbours,
-// stride). Pieces of eight blocks of kJudged points, one a lane.
+// stride). Pieces of eight blocks of kJudged points, one a lane. The neighbours of a block are copied to `memory`
+// (neighbours, kNeighbour, kJudged), which several steps read, as gathering them takes longer than the arithmetic.
 #include <math.h>
 
+#include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
 
 namespace fingerflow {
 
-constexpr int kJudged = 16;  // points of a block
+constexpr int kJudged = 16;    // points of a block
+constexpr int kNeighbour = 4;  // floats of a neighbour in `memory`
 
-// Columns (stride) of a frame's points: read_displacements writes u to `one`, fit_neighbours `number` to `trust`,
+// Columns (stride) of a frame's points: read_displacements writes u to `one`, fit_neighbours `number` to `fitted` and `slopes`,
 // borrow_slopes `agreement`. `one` is 1 for a known point, else 0, with u = v = 0.
 struct OutlierFrame {
     float *u, *v, *variance, *certainty, *one;
-    float *number, *level, *fitted, *slope[4], *trust;  // `number` of neighbours that count; `level` is 1 without any
+    float *number, *level, *fitted;  // `number` of neighbours that count; `level` is 1 without any
     float* agreement;
+    float* slopes;  // kSlopes columns, (stride, kSlopes): four slopes times their weight, the weight, and zeros
 };
-constexpr int kOutlierColumns = 14;
+constexpr int kSlopes = 8, kOutlierColumns = 9 + kSlopes;
 
 namespace FINGERFLOW_ISA {
 namespace {
@@ -31,7 +35,7 @@ namespace {
 constexpr float kLeast = 1e-30f;
 
 inline float at_least(float value, float least) { return value < least ? least : value; }
-inline float lesser(float a, float b) { return a < b || a != a ? a : b; }  // NaN where either is NaN
+inline float least_of(float a, float b) { return a < b || a != a ? a : b; }  // NaN where either is NaN
 
 struct Lane {
     float of[kJudged];
@@ -49,20 +53,33 @@ inline void for_block(const Act& act) {
 // A block of points and their neighbours.
 class Block {
 public:
-    Block(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) : given_(given), frame_(frame), first_(first) {}
+    // Copies of each neighbour its displacement relative to the point, 1 / (sum of both variances), and 1 if it counts,
+    // else 0.
+    Block(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first, float* memory)
+        : given_(given), first_(first), memory_(memory) {
+        const float *FINGERFLOW_RESTRICT const u = frame.u, *FINGERFLOW_RESTRICT const v = frame.v;
+        const float *FINGERFLOW_RESTRICT const variance = frame.variance, *FINGERFLOW_RESTRICT const one = frame.one;
+        for (std::int64_t k = 0; k < given.neighbours; ++k) {
+            const std::int32_t* FINGERFLOW_RESTRICT const number = given.number + k * given.stride + first;
+            const float* FINGERFLOW_RESTRICT const within = given.within + k * given.stride + first;
+            float* FINGERFLOW_RESTRICT const to = memory + k * kNeighbour * kJudged;
+            for_block([=](int q) {
+                const std::int32_t there = number[q];
+                to[q] = u[there] - u[first + q];
+                to[kJudged + q] = v[there] - v[first + q];
+                to[2 * kJudged + q] = 1 / (variance[there] + variance[first + q]);
+                to[3 * kJudged + q] = one[there] * within[q];
+            });
+        }
+    }
 
-    // Calls act(q, x, y, u, v, precision, weight) for each neighbour of each point q: its offset, its displacement
-    // relative to the point, 1 / (sum of both variances), and 1 if it counts, else 0.
+    // Calls act(q, x, y, u, v, precision, weight) for each neighbour of each point q; x and y are its offset.
     template <class Act>
     void for_neighbours(const Act& act) const {
         for (std::int64_t k = 0; k < given_.neighbours; ++k) {
-            const std::int64_t at = k * given_.stride + first_;
-            const std::int32_t* FINGERFLOW_RESTRICT const number = given_.number + at;
-            for_block([&](int q) {
-                const std::int32_t there = number[q];
-                act(q, given_.x[at + q], given_.y[at + q], frame_.u[there] - frame_.u[first_ + q], frame_.v[there] - frame_.v[first_ + q],
-                    1 / (frame_.variance[there] + frame_.variance[first_ + q]), frame_.one[there] * given_.within[at + q]);
-            });
+            const float *const x = given_.x + k * given_.stride + first_, *const y = given_.y + k * given_.stride + first_;
+            const float* FINGERFLOW_RESTRICT const of = memory_ + k * kNeighbour * kJudged;
+            for_block([&](int q) { act(q, x[q], y[q], of[q], of[kJudged + q], of[2 * kJudged + q], of[3 * kJudged + q]); });
         }
     }
 
@@ -79,12 +96,12 @@ public:
 
 private:
     const fingerflow_outliers& given_;
-    const OutlierFrame& frame_;
     const std::int64_t first_;
+    const float* const memory_;
 };
 
-void fit(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) {
-    const Block block(given, frame, first);
+void fit(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first, float* memory) {
+    const Block block(given, frame, first, memory);
     Lane agreeing{}, number{}, level;
     block.for_neighbours([&](int q, float, float, float u, float v, float precision, float weight) {
         agreeing[q] += weight / (1 + (u * u + v * v) * precision);
@@ -130,29 +147,28 @@ void fit(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64
         frame.number[first + q] = number[q];
         frame.level[first + q] = level[q];
         frame.fitted[first + q] = fitted[q];
-        for (int c = 0; c < 4; ++c) frame.slope[c][first + q] = slope[c][q] * trust;
-        frame.trust[first + q] = trust;
+        float* const row = frame.slopes + (first + q) * kSlopes;
+        for (int c = 0; c < 4; ++c) row[c] = slope[c][q] * trust;
+        row[4] = trust;
     });
 }
 
-void borrow(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) {
-    Lane slope[4]{}, total{};
+void borrow(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first, float* memory) {
+    Register<float, kSlopes> sums[kJudged] = {};
     for (std::int64_t k = 0; k < given.neighbours; ++k) {
         const std::int64_t at = k * given.stride + first;
-        for_block([&](int q) {
-            const std::int32_t there = given.number[at + q];
-            const float within = given.within[at + q];
-            for (int c = 0; c < 4; ++c) slope[c][q] += frame.slope[c][there] * within;
-            total[q] += frame.trust[there] * within;
-        });
+        for (int q = 0; q < kJudged; ++q)
+            sums[q] += loaded<Register<float, kSlopes>>(frame.slopes + given.number[at + q] * kSlopes) * given.within[at + q];
     }
+    Lane slope[4];
+    for (int q = 0; q < kJudged; ++q) {
+        const float* const row = frame.slopes + (first + q) * kSlopes;
+        const float all = at_least(sums[q][4] + row[4], kLeast);
+        for (int c = 0; c < 4; ++c) slope[c][q] = (sums[q][c] + row[c]) / all;
+    }
+    const Lane borrowed = Block(given, frame, first, memory).agreement(slope, frame.number + first);
     for_block([&](int q) {
-        const float all = at_least(total[q] + frame.trust[first + q], kLeast);
-        for (int c = 0; c < 4; ++c) slope[c][q] = (slope[c][q] + frame.slope[c][first + q]) / all;
-    });
-    const Lane borrowed = Block(given, frame, first).agreement(slope, frame.number + first);
-    for_block([&](int q) {
-        const float least = lesser(lesser(frame.level[first + q], frame.fitted[first + q]), borrowed[q]);
+        const float least = least_of(least_of(frame.level[first + q], frame.fitted[first + q]), borrowed[q]);
         frame.agreement[first + q] = 1 / sqrtf(least);
     });
 }
@@ -200,11 +216,11 @@ void read_displacements(const fingerflow_outliers& given, std::int64_t frame, co
     }
 }
 
-void fit_neighbours(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last) {
-    for (std::int64_t block = first; block < last; ++block) fit(given, of, block * kJudged);
+void fit_neighbours(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last, float* memory) {
+    for (std::int64_t block = first; block < last; ++block) fit(given, of, block * kJudged, memory);
 }
-void borrow_slopes(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last) {
-    for (std::int64_t block = first; block < last; ++block) borrow(given, of, block * kJudged);
+void borrow_slopes(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last, float* memory) {
+    for (std::int64_t block = first; block < last; ++block) borrow(given, of, block * kJudged, memory);
 }
 void judge_points(const fingerflow_outliers& given, std::int64_t frame, const OutlierFrame& of, std::int64_t first, std::int64_t last) {
     for (std::int64_t block = first; block < last; ++block) judge(given, frame, of, block * kJudged);
@@ -218,6 +234,7 @@ void judge_points(const fingerflow_outliers& given, std::int64_t frame, const Ou
 #include <vector>
 
 #include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(read_displacements)
@@ -237,20 +254,20 @@ void fingerflow_find_outliers(const fingerflow_outliers* given, int threads) {
             return taken;
         };
         OutlierFrame of{};
-        for (float** one : {&of.u, &of.v, &of.variance, &of.certainty, &of.one, &of.number, &of.level, &of.fitted, &of.slope[0],
-                            &of.slope[1], &of.slope[2], &of.slope[3], &of.trust, &of.agreement})
+        for (float** one : {&of.u, &of.v, &of.variance, &of.certainty, &of.one, &of.number, &of.level, &of.fitted, &of.agreement, &of.slopes})
             *one = take();
         return of;
     };
+    const std::size_t copied = sizeof(float) * kNeighbour * kJudged * static_cast<std::size_t>(given->neighbours);
     const auto in_pieces = [&](const auto& act) {
         for_bands(given->frames, given->stride / kJudged, 8, threads, act);
     };
     parallel_for(given->frames, threads, [&](std::int64_t frame) { FINGERFLOW_PICK(read_displacements)(*given, frame, frame_of(frame)); });
     in_pieces([&](std::int64_t frame, std::int64_t first, std::int64_t last) {
-        FINGERFLOW_PICK(fit_neighbours)(*given, frame_of(frame), first, last);
+        FINGERFLOW_PICK(fit_neighbours)(*given, frame_of(frame), first, last, static_cast<float*>(workspace(copied)));
     });
     in_pieces([&](std::int64_t frame, std::int64_t first, std::int64_t last) {
-        FINGERFLOW_PICK(borrow_slopes)(*given, frame_of(frame), first, last);
+        FINGERFLOW_PICK(borrow_slopes)(*given, frame_of(frame), first, last, static_cast<float*>(workspace(copied)));
     });
     in_pieces([&](std::int64_t frame, std::int64_t first, std::int64_t last) {
         FINGERFLOW_PICK(judge_points)(*given, frame, frame_of(frame), first, last);

@@ -72,8 +72,9 @@ def cut_shares(margin: NDArray[np.floating], gross: Series) -> Series:
     cells that are positive in `margin` (n, rows, columns); 0 where the gross area (n,) mm^2 is small.
     """
     inside = margin > 0
+    area = np.array([np.count_nonzero(cells) for cells in inside])  # many times as fast as a sum over two axes
     cut = inside[:, [0, -1]].sum((1, 2)) + inside[..., [0, -1]].sum((1, 2))
-    return np.where(gross > _CUT_MM2, cut / np.maximum(2 * np.sqrt(np.pi * inside.sum((1, 2))), 1), 0)
+    return np.where(gross > _CUT_MM2, cut / np.maximum(2 * np.sqrt(np.pi * area), 1), 0)
 
 
 def check_cut(share: float, frame: int) -> Iterator[str]:

@@ -35,7 +35,9 @@ class PixelSamples(NamedTuple):
         """Return the samples of sampled pixels (n, lines, pixels) of frames, float32, one array after another
         (`block_means`); pixels that are not finite count as 0.
         """
-        sampled = np.nan_to_num(np.concatenate(pixels), copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        sampled = np.concatenate(pixels)
+        if not np.isfinite(np.add.reduce(sampled, None)):
+            sampled = np.nan_to_num(sampled, nan=0.0, posinf=0.0, neginf=0.0)
         mean = np.maximum(np.add.reduce(sampled, (1, 2)) / sampled[0].size, _TINY)
         sampled /= mean[:, None, None]
         return cls(sampled, np.log(mean))

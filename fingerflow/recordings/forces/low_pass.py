@@ -15,12 +15,14 @@ Averaging over the exposure, the obvious alternative, passes 400 Hz with a gain 
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 STOP_BAND_DB = 66.0
 PASS_BAND, STOP_BAND = 0.5, 1.0
 """Edges in units of the Nyquist frequency: below the first the gain is 1, beyond the second 0, each within 0.1 %."""
 
+_TERMS = 20  # of the series of a Kaiser window, the rest of which is below rounding
 _FRAMES_AT_ONCE = 16  # number of frames whose weights fit into a processor's cache
 
 Samples = NDArray[np.float64]
@@ -32,11 +34,10 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
 
     `times` increase strictly; `targets` lie between the first and the last of them.
     """
-    from scipy.special import i0  # a deployment bundle loads this module without SciPy
-
     # Half the length of the kernel, s, from its transition width by Kaiser's rule.
     half_width = (STOP_BAND_DB - 7.95) / (14.36 * ((STOP_BAND - PASS_BAND) * nyquist)) / 2
-    beta = 0.1102 * (STOP_BAND_DB - 8.7)
+    # I0(beta sqrt(x)) by its power series, for x up to 1 exact to rounding: several times as fast as a general I0.
+    bessel = np.cumprod(np.append(1.0, (0.1102 * (STOP_BAND_DB - 8.7) / 2 / np.arange(1, _TERMS)) ** 2))
     first = np.searchsorted(times, targets - half_width, side="left")
     last = np.searchsorted(times, targets + half_width, side="right")
     width = int(np.max(last - first, initial=1))
@@ -55,7 +56,7 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
         samples = begin[few, None] + np.arange(width)
         neighbours, stretches = around_frames[:, begin[few]]
         offset = neighbours - targets[few, None]
-        window = i0(beta * np.sqrt(np.maximum(1 - (offset / half_width) ** 2, 0)))
+        window = polyval(np.maximum(1 - (offset / half_width) ** 2, 0), bessel)
         window *= (samples >= first[few, None]) & (samples < last[few, None])
         weights = _exact_moments(np.sinc(offset * rate) * window * stretches, window, offset)
         result[:, few] = np.einsum("kfj,fj->kf", rows[:, begin[few]], weights)
