@@ -60,7 +60,8 @@ class Verification:
     def __init__(self, engine: Engine, image: Images, points: Array) -> None:
         """Sample the window of each point (N, 2) px in the key frame `image` (1, 1, h, w)."""
         self._engine = engine
-        self._first = engine.windows(image, np.zeros(len(points), np.int64), points, identities(len(points)))
+        first = engine.windows(image, np.zeros(len(points), np.int64), points, identities(len(points)))
+        self._first = first - first.mean(1, keepdims=True)  # fits have an offset, which makes up for it
         self._variance = self._first.var(1, ddof=1)
         nothing = np.zeros(len(points), dtype=bool)
         self.latest = Verified(nothing, nothing, np.zeros(len(points), np.float32))

@@ -29,15 +29,17 @@ Shifts = tuple[Array, Array, Array, Array]
 
 
 def compare(then: Array, now: Array) -> tuple[Array, Array, Array]:
-    """Compare N pairs of windows (N, m) of m grey levels, float32; return their normalised cross-correlation (N,), NaN
-    for blank windows, and the root mean square (N,) and largest magnitude (N,) of the residual, which a linear function
-    of the first window leaves of the second one, in grey levels, NaN where the first window is blank.
+    """Compare N pairs of windows (N, m) of m grey levels, float32; the mean of each window in `then` is 0.
+
+    Return their normalised cross-correlation (N,), NaN for blank windows, and the root mean square (N,) and largest
+    magnitude (N,) of the residual, which a linear function of the first window leaves of the second one, in grey
+    levels, NaN where the first window is blank.
     """
-    before, after = (windows - windows.mean(1, keepdims=True) for windows in (then, now))
-    square, covariance = _mean_product(before, before), _mean_product(before, after)
+    after = now - now.mean(1, keepdims=True)
+    square, covariance = _mean_product(then, then), _mean_product(then, after)
     variances = square * _mean_product(after, after)
     with np.errstate(invalid="ignore", divide="ignore"):
-        residual = after - (covariance / square)[:, None] * before
+        residual = after - (covariance / square)[:, None] * then
     correlation = covariance / np.sqrt(np.maximum(variances, LEAST_VARIANCE))
     correlation = np.where(variances > LEAST_VARIANCE, correlation, np.float32(np.nan))
     return correlation, np.sqrt(_mean_product(residual, residual)), np.abs(residual).max(1)
