@@ -69,7 +69,7 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
         for (std::int64_t byte = 0; byte < given.across * given.along * static_cast<std::int64_t>(sizeof(Pixel)); byte += 64)
             FINGERFLOW_PREFETCH(next + byte);
         read_line(row, given.along, numbers);
-        if (line % given.every == 0)
+        if (line % given.every == given.every / 2)
             pixels = std::transform(numbers.begin(), numbers.end(), pixels, [](Number number) { return static_cast<float>(number); });
         lines[line] = mean(std::accumulate(numbers.begin(), numbers.end(), Number(0)), given.across);
         for (const Piece& piece : given.columns)
@@ -145,10 +145,10 @@ void fingerflow_strip_differences(const fingerflow_frames* frames /* 1 x 1 */, s
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down /* from 1 */, std::int64_t along /* from 1 */, std::int64_t rows,
     std::int64_t columns, std::int64_t every /* from 1 */, float* blocks /* (batch, rows, columns) */,
     float* lines /* (batch, (height - down / 2 + down - 1) / down) */,
-    float* pixels /* (batch, ((height - down / 2 + down - 1) / down + every - 1) / every, (width - along / 2 + along - 1) / along) */, int threads) {
+    float* pixels /* (batch, ((height - down / 2 + down - 1) / down - every / 2 + every - 1) / every, (width - along / 2 + along - 1) / along) */, int threads) {
     using namespace fingerflow;
     const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
-    const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along), kept = (lines_read + every - 1) / every;
+    const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along), kept = read(lines_read, every);
     const Sampled given{lines_read, across, frames->row_stride, down, along, every, cut(lines_read, rows), cut(across, columns)};
     parallel_for(frames->batch, threads, [&](std::int64_t frame) {
         const auto find = [&](const auto* data) {

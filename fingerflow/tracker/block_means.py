@@ -43,7 +43,7 @@ def block_means(frames: Array) -> tuple[Array, Array, Array]:
         blocks, lines, pixels = compiled("block_means")(frames=frames[:, None], **grid)
         return blocks, lines, pixels
     sampled = frames[:, down // 2 :: down, along // 2 :: along]
-    pixels, sums = sampled[:, ::every].astype(np.float32), sampled.astype(np.float64)
+    pixels, sums = sampled[:, every // 2 :: every].astype(np.float32), sampled.astype(np.float64)
     lines = sums.mean(2)
     sums, lines_each = _sums(sums, 1, rows)
     sums, pixels_each = _sums(sums, 2, columns)
