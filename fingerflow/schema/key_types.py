@@ -83,14 +83,13 @@ def number(
     odd: bool = False,
 ) -> NumberType:
     """Return the type of a key that takes a finite number in a range, an ``odd`` one where that is set."""
-    limits = [
-        (sign, words, limit, is_beyond)
-        for sign, words, limit, is_beyond in (
-            *((">", "above", above, operator.le), ("≥", "at least", least, operator.lt)),
-            *(("≤", "at most", most, operator.gt), ("<", "below", below, operator.ge)),
-        )
-        if limit is not None
-    ]
+    possible = (
+        (">", "above", above, operator.le),
+        ("≥", "at least", least, operator.lt),
+        ("≤", "at most", most, operator.gt),
+        ("<", "below", below, operator.ge),
+    )
+    limits = [(sign, words, limit, beyond) for sign, words, limit, beyond in possible if limit is not None]
     bounds = " and ".join(f"{sign} {limit:g}" for sign, _, limit, _ in limits)
     form = {"least": above if least is None else least, "most": below if most is None else most}
 

@@ -154,10 +154,9 @@ class SceneCheck(TableCheck):
                 self.record_conflict(f"forces.{key}", f"{together}; add {partner}")
         for table, keys in PROFILES.get(str(self.profile), {}).items():
             for name, value in keys.items():
-                if self.find_value(f"{table}.{name}") != value:
-                    self.record_conflict(
-                        f"{table}.{name}", f"the profile {self.profile} has {value!r}; leave one of the two out"
-                    )
+                key, conflict = f"{table}.{name}", f"the profile {self.profile} has {value!r}; leave one of the two out"
+                if self.find_value(key) != value:
+                    self.record_conflict(key, conflict)
         self._not_both("forces.tare", "forces.offset", "both say what the sensor reads without a load")
         for name in ("gain", "sign", "offset"):
             self._one_each(f"forces.{name}")
@@ -229,9 +228,8 @@ class SceneCheck(TableCheck):
             return
         stated = [shape for shape in shapes if f"{key}.{shape}" in self.given]
         if len(stated) != 1:
-            self.record_conflict(
-                key, f"one of {either(shapes)} is needed, and there are {' and '.join(stated) or 'none'}"
-            )
+            there = " and ".join(stated) or "none"
+            self.record_conflict(key, f"one of {either(shapes)} is needed, and there are {there}")
 
     def _fits_the_views(self) -> None:
         """Record a problem unless the calibration has a transform between the views and was made with the views of this

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from fingerflow.schema.variable_record import MICROMETRE, Variable, with_deviation
-from fingerflow.schema.variables import VARIABLES
+from fingerflow.schema.variables import VARIABLES, by_name
 
 #: Moments of a trial, with their definitions in `MOMENTS`.
 FORCES_N = (1.0, 2.0, 3.0)
@@ -110,27 +110,24 @@ _OF_TRIAL = (
 #: Suffix of a curve while the normal force falls.
 UNLOADING = "_unloading"
 #: Curves against a share of the load: of T/N at full slip for d², else of the largest normal force.
-BY_SHARE = {variable.name: variable for variable in (
+BY_SHARE = by_name((
     replace(VARIABLES["stuck_ratio"], label="stick ratio d²"),
     Variable("relative_area", _TRIAL, "1", "gross area over that at the largest force", label="relative contact area"),
     Variable("mean_pressure", _TRIAL, "kPa", "normal force over gross contact area"),
-)}  # fmt: skip
+))  # fmt: skip
 #: Areas that are also given relative to their median over the participant's trials, when the table is written.
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
 
 #: Numeric columns of the table of trials.
-NUMBERS: dict[str, Variable] = {
-    column.name: column
-    for column in (
-        *_OF_TRIAL,
-        *(column for columns in _QUANTITIES for column in columns),
-        *(
-            Variable(f"{name}_normalised", _TRIAL, "1", f"{name} over its median in the participant's trials")
-            for name in NORMALISED
-        ),
-    )
-}
+NUMBERS = by_name(
+    _OF_TRIAL,
+    *_QUANTITIES,
+    (
+        Variable(f"{name}_normalised", _TRIAL, "1", f"{name} over its median in the participant's trials")
+        for name in NORMALISED
+    ),
+)
 #: Differences from the reference trial, added when the table is written, for trials that name one.
 DIFFERENCE = "_difference"
 DIFFERENCES: dict[str, Variable] = {
@@ -140,17 +137,15 @@ DIFFERENCES: dict[str, Variable] = {
     for name in (*(column.name for column in _OF_TRIAL if not column.name.endswith("_std")), *AT_MOMENTS)
 }
 #: Columns of the table of trials that are not numeric.
-FACTS: dict[str, Variable] = {
-    name: Variable(name, _TRIAL, "1", meaning)
-    for name, meaning in {
-        "status": "measured, failed (no result), or not run",
-        "reason": "why a trial has no result",
-        "slip_verdict": "how the stuck area vanishes, of trials of tangential loading",
-        "frames": "frames that count",
-        "usable_frames": "frames that are pictures of the trial (frame_status)",
-        "warnings": "sentences of the result's warnings, one a line",
-        "recording": "file of the frames, relative to the study",
-        "result": "file of the result, relative to the study",
-    }.items()
+_FACTS = {
+    "status": "measured, failed (no result), or not run",
+    "reason": "why a trial has no result",
+    "slip_verdict": "how the stuck area vanishes, of trials of tangential loading",
+    "frames": "frames that count",
+    "usable_frames": "frames that are pictures of the trial (frame_status)",
+    "warnings": "sentences of the result's warnings, one a line",
+    "recording": "file of the frames, relative to the study",
+    "result": "file of the result, relative to the study",
 }
+FACTS = by_name(Variable(name, _TRIAL, "1", meaning) for name, meaning in _FACTS.items())
 OF_RESULTS = frozenset((*NUMBERS, *DIFFERENCES, *FACTS)) - {"recording"}
