@@ -16,7 +16,6 @@ from fingerflow.schema.key_types import File
 from fingerflow.schema.keys import SceneKey
 from fingerflow.schema.scene_tables import find_entry
 from fingerflow.schema.scene_template import scene_text
-from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.study.dotted_keys import flattened, nested
@@ -31,6 +30,7 @@ from fingerflow.study.manifest import (
     relative,
     spelled_alike,
 )
+from fingerflow.study.spreadsheet_cell import quoted_cell
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
 # Folders that `fingerflow study run` and the system write, besides those whose names begin with a dot.

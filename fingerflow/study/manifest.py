@@ -12,15 +12,15 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
+from fingerflow.recordings.delimited import is_numeric
 from fingerflow.recordings.recording_files import equal_recordings
-from fingerflow.schema.delimited import is_numeric
 from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene import Scene, parse_toml, scene_from
 from fingerflow.schema.scene_tables import find_entry
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.trial_columns import OF_RESULTS
-from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 from fingerflow.study.dotted_keys import nested
+from fingerflow.study.trial_rows import ANSWERS, NOTHING, read_rows
 
 #: Columns of a table of trials that a study reads. A column name with a dot is a key of the scene.
 KNOWN = RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (

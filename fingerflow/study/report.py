@@ -23,11 +23,11 @@ from fingerflow.results.largest_load import frame_of_largest
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.cluster import run_on_workers
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.spreadsheet_cell import plain_cell
 from fingerflow.study.statistics import read_sample, study_statistics
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import MEASURED, read_row

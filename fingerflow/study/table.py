@@ -9,10 +9,10 @@ from scipy import stats
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.trial_columns import BY_SHARE, DIFFERENCE, DIFFERENCES, FACTS, NORMALISED, NUMBERS, UNLOADING
 from fingerflow.study.manifest import REFERENCE, Manifest, TrialEntry, frames_of, relative
 from fingerflow.study.row import CURVES, FORCE_GRID, SHARE_GRID
+from fingerflow.study.spreadsheet_cell import quoted_cell
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
 NOT_RUN = "not run"

@@ -19,7 +19,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.schema.pixel_types import COMPUTED_TYPES
 from fingerflow.schema.text_file import read_text
-from fingerflow.schema.trial_rows import read_rows
+from fingerflow.study.trial_rows import read_rows
 
 TIMES, FORCES = np.arange(0, 0.2, 1e-3), 2 * np.arange(0, 0.2, 1e-3)
 LINES = "".join(f"{time:.3f},{force:.4f}\n" for time, force in zip(TIMES, FORCES, strict=True))

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.recordings.delimited import decimal_point, find_separator, is_numeric, is_read, split_cells
 from fingerflow.recordings.forces.force_table import ForceTable, split_unit
 from fingerflow.recordings.forces.preamble import without_preamble
-from fingerflow.schema.delimited import decimal_point, find_separator, is_numeric, is_read, split_cells
 from fingerflow.schema.text_file import read_text
 
 _MOST_BYTES = 1 << 30

@@ -5,7 +5,7 @@ from itertools import islice
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.delimited import find_separator, is_numeric, is_read, split_cells
+from fingerflow.recordings.delimited import find_separator, is_numeric, is_read, split_cells
 
 _END_OF_HEADER = "***End_of_Header***"
 _LOOKED_AT = 400  # number of lines within which the table must begin

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fingerflow.schema.spreadsheet_cell import plain_cell, quoted_cell
+from fingerflow.study.spreadsheet_cell import plain_cell, quoted_cell
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+cmd", "-a", "@SUM(A1)", "\t=1", "\r=1", "--1", '=HYPERLINK("x")'])

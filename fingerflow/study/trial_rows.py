@@ -5,9 +5,9 @@ import re
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.delimited import decimal_point, find_separator
-from fingerflow.schema.spreadsheet_cell import plain_cell
+from fingerflow.recordings.delimited import decimal_point, find_separator
 from fingerflow.schema.text_file import read_text
+from fingerflow.study.spreadsheet_cell import plain_cell
 
 ANSWERS = {"1": True, "true": True, "0": False, "false": False}
 NOTHING = ("", "nan", "na")  # contents of a cell without a value
