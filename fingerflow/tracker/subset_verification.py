@@ -1,7 +1,7 @@
 """Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin or dust."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,20 +89,14 @@ class Verification:
         noise = noise_of(self._engine, images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
-        finite = np.sort(loss[np.isfinite(loss)])
-        limit = (
-            np.clip(_USUAL * finite[(len(finite) - 1) // 2] if len(finite) else 0.0, _ALIKE, _MOST)
-            + _NOISE * noise_part
-        )
+        limit = np.clip(_USUAL * _lower_median(loss), _ALIKE, _MOST) + _NOISE * noise_part
         suspect = (loss > limit).nonzero()[0]
         if len(suspect):
             # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the
             # limit.
-            present = (number[suspect], positions[suspect])
-            better = deformed_alike(
-                self._first[suspect], sample, *present, warp[suspect], self._engine.settings.window_px, STEP
-            )
-            again = 1 - compare(self._first[suspect], sample(*present, better))[0]
+            first, present = self._first[suspect], (number[suspect], positions[suspect])
+            better = deformed_alike(first, sample, *present, warp[suspect], self._engine.settings.window_px, STEP)
+            again = 1 - compare(first, sample(*present, better))[0]
             loss[suspect] = np.where(np.isnan(again), loss[suspect], np.minimum(again, loss[suspect]))
         before, unknown = self.latest, np.isnan(loss)
         shift, deviations, largest = self._shifts(sample, number, positions, warp, residuals, noise)
@@ -126,12 +120,16 @@ class Verification:
         """
         shift, (deviations, largest_left) = np.zeros((len(number), 2)), np.zeros((2, len(number)))
         square, largest = residuals
-        known = np.sort(square[np.isfinite(square)])
-        if len(known):
-            usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
-            suspect = (largest > _PEAK * usual).nonzero()[0]
-            if len(suspect):
-                present = (number[suspect], positions[suspect], warp[suspect], math.sqrt(2) * noise)
-                fit = shifted_alike(self._first[suspect], sample, *present)
-                shift[suspect], _, deviations[suspect], largest_left[suspect] = fit
+        usual = max(float(_lower_median(square)), math.sqrt(2) * noise)
+        suspect = (largest > _PEAK * usual).nonzero()[0]
+        if len(suspect):
+            present = (number[suspect], positions[suspect], warp[suspect], math.sqrt(2) * noise)
+            fit = shifted_alike(self._first[suspect], sample, *present)
+            shift[suspect], _, deviations[suspect], largest_left[suspect] = fit
         return shift, deviations, largest_left
+
+
+def _lower_median(values: Array) -> Any:
+    """Return the lower median of the finite ones of some values (N,); 0 if there are none."""
+    finite = np.sort(values[np.isfinite(values)])
+    return finite[(len(finite) - 1) // 2] if len(finite) else 0.0
