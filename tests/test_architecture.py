@@ -26,9 +26,11 @@ _TABLE = {
     "torch_engine": "engines errors graphs kernels ops schema tensors",  # see `_room`
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels recordings schema",
+    "recorded": "engines kernels recordings schema tracker",  # what of the tracker serves recordings alone
     "models": "errors tensors",
     "calibration": "errors recordings results schema",
-    "stages": "choice engines errors export graphs kernels models ops recordings results schema torch_engine tracker",
+    "stages": "choice engines errors export graphs kernels models ops recorded recordings results schema torch_engine "
+    "tracker",
     "pipeline": "__init__ choice engines errors recordings results schema stages tensors torch_engine",
     "synthetic": "errors models ops schema",
     "plot": "errors graphs ops recordings results schema stages",
@@ -54,6 +56,7 @@ PACKAGES = {
     "engines": {"numpy", "onnxruntime"},
     "torch_engine": {"numpy", "torch"},
     "tracker": {"numpy"},
+    "recorded": {"numpy", "cv2", "scipy"},
     # All but NumPy are optional: for videos and cameras, outputs and sensors.
     "player": {"numpy", "cv2", "harvesters", "pylsl", "serial", "zmq"},
 }
@@ -112,7 +115,7 @@ def room_of(path: Path) -> str:
 
 def _room(parts: list[str]) -> str:
     own = {("pipeline", "stages"): "stages", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
-    own |= {("engines", "torch"): "torch_engine"}
+    own |= {("engines", "torch"): "torch_engine", ("tracker", "recorded"): "recorded"}
     return own.get(tuple(parts[:2]), parts[0])
 
 

@@ -3,6 +3,8 @@ differences of neighbours.
 """
 
 import functools
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +12,8 @@ from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import KINDS
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.kernels.library import compiled, is_present
-from fingerflow.schema.variables import DARK, DARK_SHARE, NOISE, SATURATED, SATURATED_SHARE, USABLE
+from fingerflow.schema.variables import DARK, DARK_SHARE, NOISE, NOT_FINITE, SATURATED, SATURATED_SHARE, USABLE
+from fingerflow.tracker.frame_copies import FrameKey, frame_key
 
 # Least side of a block (px) and largest number of blocks along a side. Blocks are wider than the period of ridges: in
 # narrower ones, ridges that move by half a period per frame would seem to stand still, or to jump and return. A tear,
@@ -51,12 +54,29 @@ def block_means(frames: Array) -> tuple[Array, Array, Array]:
     return blocks.astype(np.float32), lines.astype(np.float32), pixels
 
 
+class InspectedFrames(NamedTuple):
+    """What n frames show by themselves.
+
+    Attributes:
+        status: (n,) uint8, indices into `FRAME_STATUS`.
+        keys: of the frames (`frame_key`).
+        blocks, lines: means of the contact view over blocks (n, rows, columns) and over lines (n, lines).
+        pixels: of each view, sampled (n, lines, pixels).
+    """
+
+    status: Array
+    keys: list[FrameKey]
+    blocks: Array
+    lines: Array
+    pixels: Sequence[Array]
+
+
 class PictureCheck:
     """Detection of frames that are no picture of the contact view: dark, saturated or noise.
 
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light, None if it is 0.
-        top: level above which a pixel is saturated.
+        bit_depth: of the frames, None for floating point.
 
     Attributes:
         black: level without light.
@@ -65,21 +85,29 @@ class PictureCheck:
         lines: (lines,) means of sampled lines of the empty glass.
     """
 
-    def __init__(self, glass: Array, dark: Array | None, top: float) -> None:
+    def __init__(self, glass: Array, dark: Array | None, bit_depth: int | None) -> None:
         self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
         (self.glass,), (self.lines,), _ = block_means(glass[None])
         self.least = self.black + DARK_SHARE * (float(self.glass.mean()) - self.black)
         self._roughness = max(_ROUGH, float(_ROUGHER * np.sqrt(strip_differences(glass[None], 1).max())))
-        self._top = top
-        self._tells_saturated = float((self.glass > top).mean()) < SATURATED_SHARE
+        self._top = np.inf if bit_depth is None else 2**bit_depth - 1.5
+        self._tells_saturated = float((self.glass > self._top).mean()) < SATURATED_SHARE
 
-    def status(self, frames: Array, blocks: Array) -> Array:
-        """Judge frames (n, H, W), and return the status (n,) of each, an index into `FRAME_STATUS`.
+    def inspect(self, views: Sequence[Array]) -> InspectedFrames:
+        """Judge n frames by themselves, from their views (n, H, W), the contact view first."""
+        blocks, lines, pixels = zip(*map(block_means, views), strict=True)
+        if views[0].dtype.kind == "f":
+            blocks = tuple(np.nan_to_num(means, nan=0.0, posinf=0.0, neginf=0.0) for means in blocks)
+        status = self._status(views[0], blocks[0])
+        for frames in views:
+            if frames.dtype.kind == "f":
+                status[~np.isfinite(frames).all(axis=(1, 2))] = NOT_FINITE
+        return InspectedFrames(status, list(map(frame_key, zip(*blocks, strict=True))), blocks[0], lines[0], pixels)
 
-        `blocks` (n, rows, columns) are the means over blocks of their pixels (`block_means`).
-        """
+    def _status(self, frames: Array, blocks: Array) -> Array:
+        """Return the status (n,) of the contact view (n, H, W) of n frames, whose means over blocks are `blocks`."""
         size = blocks[0].size
-        status = np.where(is_noise(frames, self._roughness), NOISE, USABLE)
+        status = np.where(is_noise(frames, self._roughness), np.uint8(NOISE), np.uint8(USABLE))
         if self._tells_saturated:
             status[np.add.reduce(blocks > self._top, (1, 2), float) / size > SATURATED_SHARE] = SATURATED
         status[np.add.reduce(blocks, (1, 2)) / size < self.least] = DARK

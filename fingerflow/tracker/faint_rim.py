@@ -3,6 +3,9 @@
 import math
 from collections.abc import Iterator
 
+from fingerflow.engines.engine import Engine, FrameContact, GlassLight, Images
+from fingerflow.tracker.sizes_on_glass import SizesOnGlass
+
 #: Share of the contact threshold at which a pale rim shows, and least width of a faint rim, mm, that is reported; of
 #: clean prints up to 0.07.
 FAINT, RIM_MM = 0.4, 0.1
@@ -12,13 +15,16 @@ FAINT, RIM_MM = 0.4, 0.1
 _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.028, 0.5, 1.6
 
 
-def pale_rim_mm(gross: float, lower: float) -> float:
-    """Return by how much, mm, the border may lie further out as ridges are pale at the rim of the contact.
-
-    `gross` and `lower` are the gross areas, mm^2, of the frame with most contact at the threshold and at `FAINT` of it.
+def pale_rim(
+    engine: Engine, image: Images, light: GlassLight, contact: FrameContact, on_glass: SizesOnGlass
+) -> tuple[float, float]:
+    """Return the gross area, mm^2, of the `contact` in the contact view `image` with most contact, and by how much, mm,
+    its border may lie further out as ridges are pale at its rim, by the contact at `FAINT` of the threshold.
     """
-    width = math.sqrt(lower / math.pi) - math.sqrt(gross / math.pi)
-    return _UNSEEN * max(width - _USUAL_MM, 0.0) if width < _FURTHEST_MM else 0.0
+    lower = engine.contact(image, light, FAINT * contact.threshold)
+    gross, whole = (float(on_glass.sizes(seen).gross[0]) for seen in (contact, lower))
+    width = math.sqrt(whole / math.pi) - math.sqrt(gross / math.pi)
+    return gross, _UNSEEN * max(width - _USUAL_MM, 0.0) if width < _FURTHEST_MM else 0.0
 
 
 def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> Iterator[str]:

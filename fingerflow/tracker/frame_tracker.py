@@ -47,7 +47,7 @@ from fingerflow.kernels.array_types import Array
 from fingerflow.kernels.arrays import is_finite
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
-from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
+from fingerflow.tracker.faint_rim import check_faint_rim, pale_rim
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.points import STREAM, Points, join
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
@@ -338,10 +338,9 @@ class StreamTracker:
         """
         if self._largest is not None:
             image, contact = self._largest
-            whole = self._engine.contact(image, self._light, FAINT * contact.threshold)
-            gross, lower = (float(self.results.on_glass.sizes(seen).gross[0]) for seen in (contact, whole))
-            rim = pale_rim_mm(gross, lower) if gross >= _LEAST_MM2 else 0.0
-            yield from check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
+            gross, rim = pale_rim(self._engine, image, self._light, contact, self.results.on_glass)
+            if gross >= _LEAST_MM2:
+                yield from check_faint_rim(rim, gross, contact.threshold[0], self._engine.settings.gross_radius_px, 0.0)
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames that wait for later frames or for a threshold as the stream ends; return their outcomes."""

@@ -9,7 +9,7 @@ import numpy as np
 from fingerflow.kernels.array_types import Array
 from fingerflow.schema.variables import DARK, JUMPS, REPEATED, SATURATED, USABLE
 from fingerflow.tracker import frame_copies
-from fingerflow.tracker.block_means import PictureCheck, block_means
+from fingerflow.tracker.block_means import PictureCheck
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
 from fingerflow.tracker.frame_jumps import NEARBY, Ordinary, excess, is_far, is_jump, ordinary_limit, ordinary_values
 
@@ -63,7 +63,7 @@ class FrameCheck:
     """
 
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
-        self._alone = PictureCheck(glass, dark, 2**bit_depth - 1.5)
+        self._alone = PictureCheck(glass, dark, bit_depth)
         lines = self._alone.lines - self._alone.black
         self._lit = lines > _LIT * lines.mean()
         self._last: Picture | None = None  # latest usable frame
@@ -82,11 +82,11 @@ class FrameCheck:
         Any thread may call it.
         """
         images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
-        blocks, lines, pixels = zip(*map(block_means, images), strict=True)
-        status = int(self._alone.status(images[0], blocks[0])[0])
-        if status not in (DARK, SATURATED) and np.logical_or.reduce(self._lit & (lines[0] < self._alone.least), None):
+        alone = self._alone.inspect(images)
+        status, unlit = int(alone.status[0]), self._lit & (alone.lines < self._alone.least)
+        if status not in (DARK, SATURATED) and np.logical_or.reduce(unlit, None):
             status = JUMPS
-        return Picture(status, PixelSamples.of(*pixels), frame_copies.frame_key(blocks), number)
+        return Picture(status, PixelSamples.of(*alone.pixels), alone.keys[0], number)
 
     def update(self, picture: Picture) -> list[int]:
         """Determine the status of a frame, given as the result of `inspect`, by comparison with earlier frames; return

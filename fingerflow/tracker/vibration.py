@@ -91,6 +91,18 @@ def steady(position: NDArray[np.float64], motion: Complex) -> NDArray[np.float64
     return position - np.stack((off.real, off.imag), axis=-1)
 
 
+class SteadyPositions:
+    """Positions (F, N, 2) mm of the points without the vibration `motion` (F, 2) of the image, as `vibration` returns
+    it, which is subtracted when frames are read.
+    """
+
+    def __init__(self, position: Values, motion: Any) -> None:
+        self._position, self._motion, self.shape = position, motion, position.shape
+
+    def __getitem__(self, frames: Any) -> NDArray[np.float64]:
+        return steady(self._position[frames], self._motion[frames, None])
+
+
 def _step(here: Complex, moved: Complex, group: NDArray[np.bool_], radius: float) -> NDArray[np.float64]:
     """Return shift, change of scale and rotation (n, 4), mm at a `radius`: medians over the motions `moved` (n, N) of
     the points of a `group` (n, N) at `here` (n, N).

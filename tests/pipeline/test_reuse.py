@@ -180,7 +180,7 @@ def test_keys_know_all_code_that_stages_run() -> None:
         for room in ARROWS[left.pop()] - reached - {"__init__"}:  # the version
             reached.add(room)
             left.append(room)
-    parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines", "stages": "pipeline/stages"}
+    parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines", "recorded": "tracker"}
     assert {parts_of.get(room, room) for room in reached} - known == {"errors"}
 
 

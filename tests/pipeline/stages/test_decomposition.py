@@ -5,8 +5,9 @@ rigid motion.
 import numpy as np
 from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, residual_deviations
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
+from fingerflow.tracker.deviations.rigid_residual import residual_deviations
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
 FRAMES, SCALE = 16, 0.03

@@ -20,7 +20,7 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT, sparse_border_mm
 from fingerflow.tracker import area_steps
-from fingerflow.tracker.faint_rim import FAINT, check_faint_rim, pale_rim_mm
+from fingerflow.tracker.faint_rim import check_faint_rim, pale_rim
 from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
 _LEAST_LIGHT = 0.1
@@ -193,7 +193,7 @@ class ContactStage(Stage):
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest, self._glass
-        mask: Any = contact.real_contact_mask  # the engines of recordings return it
+        mask = contact.real_contact_mask  # the engines of recordings return it
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
@@ -215,11 +215,10 @@ class ContactStage(Stage):
 
     def _check_rim(self, counts: Array, contact: FrameContact) -> list[str]:
         """Measure the faint rim of the `contact` in a picture, and return a warning if there is one."""
-        lower = self._engine.contact(self._engine.images(counts), self._light, FAINT * contact.threshold)
-        gross, whole = (self._on_glass.sizes(seen).gross[0] for seen in (contact, lower))
-        self._pale_rim_mm = pale_rim_mm(gross, whole)
-        mask: Any = contact.real_contact_mask
-        rim = max(self._pale_rim_mm, view_faults.thin_rim_mm(mask[0, 0], self._largest, self._period_px))
+        image = self._engine.images(counts)
+        gross, self._pale_rim_mm = pale_rim(self._engine, image, self._light, contact, self._on_glass)
+        thin_rim_mm = view_faults.thin_rim_mm(contact.real_contact_mask[0, 0], self._largest, self._period_px)
+        rim = max(self._pale_rim_mm, thin_rim_mm)
         radius = self.inputs.scene.contact.gross_radius_px
         averaged = np.interp(radius / self._period_px, *_AVERAGED)
         self.faint_rim_mm = float(max(rim, sparse_border_mm(contact.real_area_px, contact.gross_area_px), averaged))
@@ -227,9 +226,8 @@ class ContactStage(Stage):
 
     def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: Series) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
-        mask: Any = contact.real_contact_mask
-        radius_px = self.inputs.scene.contact.gross_radius_px
-        cell_px, masks, region = self.cell_px, mask[:, 0], contact.density_margin[:, 0] > 0
+        radius_px, cell_px = self.inputs.scene.contact.gross_radius_px, self.cell_px
+        masks, region = contact.real_contact_mask[:, 0], contact.density_margin[:, 0] > 0
         # Every pixel is looked at where sampled ones show a fourth of what is warned of.
         away = view_faults.outside_region(region.any(0), cell_px, radius_px)
         step = 2 * cell_px  # px between samples, each of which is read from a memory line of its own

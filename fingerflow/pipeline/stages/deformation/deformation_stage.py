@@ -5,13 +5,11 @@ fields by local fits, and medians over the gross contact.
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import ndtr
 
 from fingerflow.engines.engine import FrameEllipse
 from fingerflow.kernels.array_types import Array, Numbers, Points
 from fingerflow.kernels.arrays import nanmedian
 from fingerflow.kernels.field_limits import LEAST_SHARE
-from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -20,23 +18,18 @@ from fingerflow.pipeline.stages.preparation.inputs import resolve_reference
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
-from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
-from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.image_noise import noise_variance
-from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
+from fingerflow.tracker.deviations.onset_time import onset_errors
 from fingerflow.tracker.deviations.overlap import OverlapErrors
+from fingerflow.tracker.deviations.rigid_residual import residual_deviations
 from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
-from fingerflow.tracker.onset import Touches, Touching, interpolate_displacement
-from fingerflow.tracker.vibration import FRAMES_READ, steady, vibration
-
-# Measured on presses, slides and partial slips of real prints: the error of the rigid motion of least squares over the
-# median deviation of the points, and that of the median length over their mean deviation by curvature within windows,
-# which pulls all skin beside slip alike, and by the time of onset, most of which is that of single points.
-_OF_MOTION, _OF_CURVATURE, _OF_ONSET = 0.5, 1.4, 0.25
-_MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector with two components of the deviation 1
+from fingerflow.tracker.onset import Touches, Touching
+from fingerflow.tracker.recorded.common_frame import common_frame
+from fingerflow.tracker.recorded.unseen_touch import UnseenTouches
+from fingerflow.tracker.vibration import FRAMES_READ, SteadyPositions, steady, vibration
 
 
 class DeformationStage(Stage):
@@ -57,7 +50,7 @@ class DeformationStage(Stage):
         border: of the contact in all frames, mm, without the vibration of the image.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
-        common_position: (N, 2) mm, of `_common_frame`.
+        common_position: (N, 2) mm, of `tracker.recorded.common_frame`.
         steady_position: (F, N, 2) mm, of the points, without the vibration of the image.
         seeded: (N,) frame in which a point was seeded.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
@@ -96,7 +89,8 @@ class DeformationStage(Stage):
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self.usable), self.trial.stage(TrackingStage).backward
         first, position = int(usable[-1 if backward else 0]), self.results["position"]
-        self.common_position, self.seeded = self._common_frame(first, backward)
+        skin = common_frame(position, self.results["status"], self.mm_per_px, first, backward)
+        self.common_position, self.seeded = skin
         self._later = self.seeded != first
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
         self._shaken, pressed = np.zeros((len(self.trial), 2), complex), inputs.scene.kind in ("press", "single_view")
@@ -112,11 +106,9 @@ class DeformationStage(Stage):
             axes = border.semi_axes + inputs.scene.contact.gross_radius_px * inputs.mm_per_px
             self._onset_border = self.border._replace(semi_axes=axes)
         begin = int(usable[0])
-        here = self.steady_position[begin : begin + 1]
-        depth = self._onset_border.select(slice(begin, begin + 1)).inside(here)[0]
-        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & self.by_onsets)
-        self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
-        self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
+        here = slice(begin, begin + 1)
+        covered, border_then = self.results["in_contact"][here][0], self._onset_border.select(here)
+        self._unseen = UnseenTouches(self.steady_position[here][0], covered, border_then)
         points = position.shape[1]
         self._curvature_then = np.zeros(points, np.float32)
         if then is not None:
@@ -152,32 +144,6 @@ class DeformationStage(Stage):
             self.results.create(name, self.attributes)
         self._touch = Touches(points)
         self._begin_fields()
-
-    def _common_frame(self, first: int, backward: bool) -> tuple[Points, Numbers]:
-        """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points
-        seeded later, and the frames (N,) in which they were seeded.
-
-        They were first seeded in frame `first` and tracked from there, forward or `backward`. The position of a point
-        seeded later is that in its first frame, less the displacement of the points around it since the first seeding.
-        These are coordinates of the skin extrapolated beyond the region that was seen. Gradients between two later
-        frames, F(t) F(s)^-1, do not depend on them.
-
-        That displacement is a mean over few points (`interpolate_displacement`). It differs little between neighbouring
-        points, so that the skin does not fold, and it stays bounded far away, unlike an extrapolated plane. Where
-        hardly a point is left, as after a finger was lifted, new points start without a displacement.
-        """
-        position, status, px = self.results["position"], self.results["status"], self.mm_per_px
-        positions = np.array(position[first : first + 1][0], dtype=np.float64)
-        later = status[first : first + 1][0] == TrackStatus.NOT_SEEDED_YET
-        waiting, frames = np.zeros(len(positions), np.intp), status.shape[0]
-        for begin in range(0, frames if later.any() else 0, FRAMES_READ):
-            waiting += (status[begin : begin + FRAMES_READ] == TrackStatus.NOT_SEEDED_YET).sum(0)
-        seeded = np.where(later, frames - 1 - waiting if backward else waiting, first)
-        for frame in sorted(set(seeded[later].tolist()), reverse=backward):
-            now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))
-            moved, _ = interpolate_displacement(now / px, now - positions, now[new] / px, fewest=1)
-            positions[new] = now[new] - np.nan_to_num(moved)
-        return positions, seeded
 
     def _begin_fields(self) -> None:
         """Create the result variables of the fields, and prepare their computation."""
@@ -241,8 +207,9 @@ class DeformationStage(Stage):
         frames = skin.numbers
         moved, noise = self._since_touch(self._touch, skin)
         moved[:, self._inside] = noise[:, self._inside] = np.nan
-        unseen = np.zeros(noise.shape)
-        unseen[:, self._doubtful] = self._entered_unseen(skin.position, moved, frames)
+        unseen: Array | float = 0.0
+        if self.by_onsets:
+            unseen = self._unseen.variance(skin.position, moved, self._onset_border.select(frames))
         # A touch in passing counts from itself.
         passing = (self.onset < 0) | (frames[:, None] < self.onset) if self.by_onsets else None
         curvature = abs(skin.curvature * np.float32(self.mm_per_px**2) - self._curvature_then)
@@ -332,45 +299,25 @@ class DeformationStage(Stage):
         """Return the displacements (n, N, 2) mm of N points since each came into contact, and their variances (n, N)
         mm^2 by image noise, in n frames; `touch` holds the onset of each point and is updated.
         """
-        indices, position, covered, variance = skin.numbers, skin.position, skin.covered, skin.noise
-        border = self._onset_border.select(indices)
+        moved, noise = np.full_like(skin.position, np.nan), np.full_like(skin.noise, np.nan)
+        usable = np.flatnonzero(self.usable[skin.numbers])  # an unusable frame does not end a touch
+        if not len(usable):
+            return moved, noise
+        frames, covered, position, variance = (values[usable] for values in skin[:4])
+        border = self._onset_border.select(frames)
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
-        usable = np.flatnonzero(self.usable[indices])  # an unusable frame does not end a touch
-        unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
-        touching = Touching(np.full_like(position, np.nan), *unknown, *none)
-        part = indices[usable], covered[usable], position[usable], variance[usable], border.select(usable)
-        for whole, values in zip(touching, touch.add_frames(*part) if len(usable) else (), strict=False):
-            whole[usable] = values
+        touching = touch.add_frames(frames, covered, position, variance, border)
         if not self.by_onsets:
             reference = np.where(touching.touching[..., None], self._fixed, np.nan)
             exact = np.broadcast_to(self._fixed_noise, variance.shape)
-            begins = np.broadcast_to((indices == self.reference_frame)[:, None], variance.shape)
+            begins = np.broadcast_to((frames == self.reference_frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
-        moved = np.subtract(position, touching.position, out=touching.position)
-        noise = noise_variance(variance, touching, adds_up=self.inputs.scene.tracking.template == "previous")
-        noise *= np.float32(self.mm_per_px**2)
+        moved[usable] = position - touching.position
+        variance = noise_variance(variance, touching, adds_up=self.inputs.scene.tracking.template == "previous")
+        noise[usable] = variance * np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return moved, noise
-
-    def _entered_unseen(self, position: Points, displacement: Points, indices: Numbers) -> Points:
-        """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
-        which may have touched earlier or later than was seen.
-
-        With the depth d of a point at its onset, a border off by b = `BORDER_MM` leaves it outside with the probability
-        Phi(-d/b). Such a point enters once it has moved inwards by about b, if it does: of a displacement u that leads
-        inwards by c, the share min(1, b/c) is from before. A point that was not seen in contact in the first frame, at
-        a depth d, touched with the probability Phi(d/b): then it has also moved as far as from there to its onset.
-        """
-        position, displacement = position[:, self._doubtful], displacement[:, self._doubtful]
-        then = np.where(self._seen, self._depth, 0)
-        inwards = np.maximum(np.nan_to_num(self._onset_border.select(indices).inside(position) - then), 0) + ELLIPSE_MM
-        later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
-        share = np.minimum(1, BORDER_MM / inwards)
-        earlier = np.where(self._seen, 0, ndtr(self._depth / BORDER_MM))
-        before = np.square(position - displacement - self._place).sum(-1)
-        result = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
-        return np.nan_to_num(result)
 
     def _select_positions(self, frames: Numbers) -> tuple[Points, Points]:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
@@ -378,43 +325,6 @@ class DeformationStage(Stage):
         """
         noise = self.mm_per_px * select_frames(self.results["position_noise_px"], frames)
         return select_frames(self.steady_position, frames), noise
-
-
-class SteadyPositions:
-    """Positions (F, N, 2) mm of the points without the vibration `motion` (F, 2) of the image, as `vibration` returns
-    it, which is subtracted when frames are read.
-    """
-
-    def __init__(self, position: Values, motion: Any) -> None:
-        self._position, self._motion, self.shape = position, motion, position.shape
-
-    def __getitem__(self, frames: Any) -> Points:
-        return steady(self._position[frames], self._motion[frames, None])
-
-
-def residual_deviations(
-    length: Array, median: Array, square: Array, noise: Array, curvature: Array
-) -> tuple[Array, Array]:
-    """Return two standard deviations, mm: that of a component of the residual displacement of N points in n frames
-    (n, N), and that of the median length of these residuals (n,).
-
-    Noise adds sqrt(median^2 + b^2) - median at most to a length whose median would be b without a residual.
-
-    Args:
-        length: (n, N) mm, of the residuals, NaN where unknown.
-        median: (n,) mm, of it.
-        square: (n, N) mm^2, mean square error of a displacement component.
-        noise, curvature: (n, N) mm^2, parts of it by image noise and by displacement that is curved within windows; the
-            rest is by the time of onset.
-    """
-    known = np.isfinite(length)
-    deviation = np.sqrt(np.where(known, square, np.nan))
-    parts = np.where(known, np.maximum((noise, curvature, square - noise - curvature), 0), 0)
-    by_noise, by_curvature, by_onset = np.sqrt(parts).sum(2) / np.maximum(known.sum(1), 1)
-    alone = _MEDIAN_LENGTH * by_noise
-    added = alone**2 / np.maximum(np.maximum(median, alone), 1e-12)
-    of_median = np.sqrt(added**2 + (_OF_CURVATURE * by_curvature) ** 2 + (_OF_ONSET * by_onset) ** 2)
-    return np.hypot(deviation, _OF_MOTION * nanmedian(deviation)[:, None]), of_median
 
 
 def _runs(frames: int) -> list[Numbers]:

@@ -3,13 +3,12 @@
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.kernels.array_types import Array, Numbers
+from fingerflow.kernels.array_types import Numbers
 from fingerflow.pipeline.stages.stage import Batch, Stage
-from fingerflow.schema.variables import FRAME_CHECK, JUMPS, NOT_FINITE, REPEATED, UNREADABLE, USABLE
-from fingerflow.tracker import frame_copies
-from fingerflow.tracker.block_means import PictureCheck, block_means
-from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
-from fingerflow.tracker.frame_jumps import jumps_and_returns
+from fingerflow.schema.variables import FRAME_CHECK, UNREADABLE, USABLE
+from fingerflow.tracker.block_means import PictureCheck
+from fingerflow.tracker.frame_copies import REPEATED_SHARE
+from fingerflow.tracker.recorded.recorded_frame_quality import RecordedFrameCheck
 
 _MEANINGS = (  # of the indices into `FRAME_STATUS` from 1 on
     "frames that the recording cannot give whole",
@@ -20,7 +19,6 @@ _MEANINGS = (  # of the indices into `FRAME_STATUS` from 1 on
     "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
     "frames of noise, or with lines or blocks in disorder",
 )
-_EMPTY = 0.05  # share of the light of the empty glass from which none of its blocks differs where nothing touches
 
 
 class FrameCheckStage(Stage):
@@ -37,63 +35,28 @@ class FrameCheckStage(Stage):
     settings = ("background", "contact.appears", "views.contact", "views.topography", "recording.first_frame")
 
     def begin(self) -> None:
-        views = self.inputs.scene.views
+        views, recording = self.inputs.scene.views, self.inputs.recording
         self._views = [view for view in (views.contact, views.topography) if view is not None]
-        self._status, self._empty = np.zeros(len(self.trial), np.uint8), np.zeros(len(self.trial), bool)
-        self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
-        self._distances: list[list[Array]] = [[] for _ in self._views]
-        self._keys: list[frame_copies.FrameKey] = []
-        depth = self.inputs.recording.bit_depth
-        self._alone = PictureCheck(*self.inputs.glass(views.contact), np.inf if depth is None else 2**depth - 1.5)
+        self._check = RecordedFrameCheck(PictureCheck(*self.inputs.glass(views.contact), recording.bit_depth))
 
     def step(self, batch: Batch) -> None:
-        indices = batch.indices
-        view_blocks = []
-        for k, view in enumerate(self._views):
-            frames = self.inputs.counts(batch.frames, view)
-            means, _, pixels = block_means(frames)
-            blocks = np.nan_to_num(means, nan=0.0, posinf=0.0, neginf=0.0)
-            if k == 0:
-                self._status[indices] = self._alone.status(frames, blocks)
-                lost = np.abs(blocks - self._alone.glass).max((1, 2))
-                self._empty[indices] = lost < _EMPTY * self._alone.glass.mean()
-            if frames.dtype.kind == "f":
-                self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = NOT_FINITE
-            view_blocks.append(blocks)
-            samples = PixelSamples.of(pixels)
-            self._distances[k].append(squared_distances_before(samples, self._before[k]))
-            self._before[k] = samples.last(LONGEST + 1, self._before[k])
-        self._keys += map(frame_copies.frame_key, zip(*view_blocks, strict=True))
+        self._check.add_frames([self.inputs.counts(batch.frames, view) for view in self._views])
 
     def finish(self) -> None:
         """Set the status of each frame, and warn of unusable frames.
 
         Raises FingerflowError where no frame is usable.
         """
-        status = self._status
         reasons = self.inputs.recording.unreadable
-        status[list(reasons)] = UNREADABLE
-        distances = np.concatenate([np.concatenate(batches) for batches in self._distances], axis=2)
-        twice = frame_copies.copies(self._keys, status == USABLE)
-        # A codec that predicts frames from others repeats a view in which little moves.
-        exact = self.inputs.recording.takes_from_other_frames is None
-        views = frame_copies.StaleViews()
-        stale = [exact and views.update(key) for key in self._keys]
-        # Free the memory: these lists are larger than the results of a frame without points.
-        self._distances, self._keys, self._before = [], [], []
-        if (share := twice.mean()) <= frame_copies.REPEATED_SHARE:
-            status[twice] = REPEATED
-        else:
+        status = self._check.finish(reasons, self.inputs.recording.takes_from_other_frames is None)
+        views, repeated = self._check.stale_views, self._check.repeated
+        del self._check  # what it holds is larger than the results of a frame without points
+        if repeated > REPEATED_SHARE:
             self.warnings.append(
-                f"{self.inputs.recording.path}: {share:.0%} of the frames repeat another one: the "
+                f"{self.inputs.recording.path}: {repeated:.0%} of the frames repeat another one: the "
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
-        status[np.array(stale) & (status == USABLE)] = REPEATED
         self.warnings += (causes := views.warnings())
-        jumps = jumps_and_returns(distances, status == USABLE)
-        # Skin may rush as it lands. Nothing tells then whether the picture returns to that of the first frames.
-        jumps &= ~np.logical_and.accumulate(self._empty & (jumps | (status != USABLE)))
-        status[jumps] = JUMPS
         self.results.put("frame_status", status)
         faults = [(text, at) for value, text in enumerate(_MEANINGS, 1) if len(at := np.flatnonzero(status == value))]
         for meaning, frames in faults:

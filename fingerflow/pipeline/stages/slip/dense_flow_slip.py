@@ -16,9 +16,8 @@ from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow, flow_response
 from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
+from fingerflow.tracker.deviations.rigid_residual import MEDIAN_LENGTH
 
-# Median length of a vector whose two components have a standard deviation of 1.
-_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))
 # Least difference of flow and points that gives a warning, in their standard deviations; smoothing, which these do not
 # contain, makes up to 2 on the synthetic trials.
 _DISAGREE = 4.0
@@ -140,7 +139,7 @@ class DenseFlowSlipStage(SlipStage):
         variance = flow[valid, 2] + np.square(deviation[valid])
         length = difference[valid] / (np.sqrt(variance) * self.inputs.geometry.topography_mm_per_px)
         if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself
-            self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
+            self._apart[frame] = np.nanmedian(length) / MEDIAN_LENGTH
 
     def _motion(self, frames: Any) -> Array:
         return self.results["skin_displacement"][frames]

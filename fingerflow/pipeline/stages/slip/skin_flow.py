@@ -13,7 +13,7 @@ from fingerflow.kernels.array_types import Field, Mask, Series
 from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
-from fingerflow.pipeline.stages.tracking.new_skin import distances
+from fingerflow.tracker.recorded.new_skin import distances
 
 ROUGHNESS = 0.2  # roughness for `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
 _TEXTURE_PX = 17  # px, side of the window over which texture is measured: one period of the ridges

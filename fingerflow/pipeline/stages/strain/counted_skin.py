@@ -6,11 +6,11 @@ from scipy.spatial import Delaunay, QhullError
 from fingerflow.kernels.array_types import Array, Mask, Numbers, Points
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, select_frames
-from fingerflow.pipeline.stages.tracking.new_skin import LEFT
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Store, Values
 from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.entry import LEAST_AREA
+from fingerflow.tracker.recorded.new_skin import LEFT
 
 # Deviation of a place of onset, relative to the root of twice a triangle's area, from which it distorts the triangle.
 _ERROR = 0.05

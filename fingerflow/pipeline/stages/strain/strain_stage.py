@@ -1,7 +1,5 @@
 """Strain of the triangles between tracked points, and strain energy of the skin in contact."""
 
-from bisect import bisect_left
-
 import numpy as np
 import torch
 from scipy.sparse import coo_array, eye_array
@@ -24,6 +22,7 @@ from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
+from fingerflow.tracker.recorded.missing_energy import MissingEnergy
 
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
 # RMS over four presses of synthetic skin at half to twice the usual deformation.
@@ -38,7 +37,6 @@ _USUAL = 4  # third differences of a triangle's strain that count as much as wha
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.5
-_OF_A_POINT = 6  # number of triangles that are lost with a point
 _ENERGIES = "strain_energy", "strain_energy_std", "strain_energy_between_points", "strain_energy_between_points_std"
 
 
@@ -263,42 +261,6 @@ class StrainStage(Stage):
         self.results.put("strain_rate_std", np.hypot(by_noise, self._rate(deviation)))
 
 
-class MissingEnergy:
-    """Estimator of the error of the strain energy that is due to triangles whose strain is unknown.
-
-    Frames must be added in order of time.
-
-    Unknown triangles count with the mean density of the others (`ops.fields.triangle_strain`), but their last known
-    density was different, and has changed since. The error has two parts: the difference of both energies, and the
-    spread of the density over the known triangles times the area of the lost ones. The triangles of a lost point, some
-    six, are all wrong in the same way: their areas add up, those of different points by their squares.
-    """
-
-    def __init__(self, areas: Array) -> None:
-        """Store the areas (M,) mm^2 of the triangles in the reference configuration."""
-        self._area = areas
-        self._last = np.zeros(len(areas))  # last known energy per depth of each triangle
-
-    def add_frames(self, density: Array, in_contact: Mask) -> Series:
-        """Return the errors (n,) mJ/mm of the strain energy in the next n frames due to triangles in contact of unknown
-        strain, from energy densities (n, M) mJ/mm^3 and the mask `in_contact` (n, M).
-
-        Densities are NaN where they are unknown.
-        """
-        energies, known = np.concatenate((self._last[None], density * self._area)), np.isfinite(density)
-        # Row of `energies` in which the energy of each triangle was known last.
-        when = np.where(np.isfinite(energies), np.arange(len(energies))[:, None], 0)
-        last = np.take_along_axis(energies, np.maximum.accumulate(when), axis=0)
-        self._last = last[-1]
-        seen, lost = self._area * (in_contact & known), self._area * (in_contact & ~known)
-        with np.errstate(invalid="ignore"):  # where no triangle is known
-            share = seen / seen.sum(1, keepdims=True)
-        mean = (share * np.where(known, density, 0)).sum(1, keepdims=True)
-        spread = (share * np.where(known, density - mean, 0) ** 2).sum(1)
-        change = np.where(lost > 0, last[1:] - mean * lost, 0).sum(1)
-        return np.nan_to_num(np.sqrt(change**2 + _OF_A_POINT * spread * (lost**2).sum(1)))
-
-
 def border_density(density: Array, areas: Array, positions: Array, border: FrameEllipse, reach_mm: float) -> Series:
     """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
     the contact border, weighted by area.
@@ -324,12 +286,6 @@ def _growth(radius: Series) -> Numbers:
     """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
     within `GROWTH_MM` of its value there, or larger.
     """
-    sizes, result = np.where(np.isfinite(radius), radius, -np.inf).tolist(), np.zeros(len(radius), np.intp)
-    frames = list[int]()  # earlier frames that no later one has a smaller radius than: their radii ascend
-    for frame, size in enumerate(sizes):
-        smaller = bisect_left(frames, size - GROWTH_MM, key=sizes.__getitem__)
-        result[frame] = frames[smaller - 1] + 1 if smaller else 0
-        while frames and sizes[frames[-1]] >= size:
-            frames.pop()
-        frames.append(frame)
-    return result
+    sizes = np.where(np.isfinite(radius), radius, -np.inf)
+    smaller = (np.flatnonzero(sizes[:frame] < size - GROWTH_MM) for frame, size in enumerate(sizes))
+    return np.array([1 + frames.max(initial=-1) for frames in smaller], np.intp)

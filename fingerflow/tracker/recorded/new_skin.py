@@ -30,8 +30,10 @@ class NewSkin:
     """
 
     def __init__(self, geometry: Geometry, cell_px: int, window_px: int) -> None:
-        self._matrix, self._cell, self._window = geometry.topography_to_contact, cell_px, window_px
-        self._inverse, self._per_px = cv2.invertAffineTransform(self._matrix), geometry.magnification
+        self._geometry, self._cell, self._window = geometry, cell_px, window_px
+        self._side = cell_px * _STEP  # px, distance between sampled positions
+        self._matrix, self._per_px = geometry.topography_to_contact, geometry.magnification
+        self._inverse = cv2.invertAffineTransform(self._matrix)
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
         self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 
@@ -79,28 +81,28 @@ class NewSkin:
             way[:old] = (position[:old] - before[0]) - (middle - before[1])
         followed, window = np.flatnonzero(tracked), self._window * self._per_px
         # Skin that touches, or may soon, farther than half a window from any point: a press has hardly any.
-        ahead = int(_AHEAD * np.nanmax(np.abs(way[followed]), initial=0.0) / (self._cell * _STEP)) + 1
+        ahead = int(_AHEAD * np.nanmax(np.abs(way[followed]), initial=0.0) / self._side) + 1
         square = np.ones((2 * min(ahead, max(touching.shape)) + 1,) * 2, np.uint8)
         soon = cv2.dilate(touching.astype(np.uint8), square) > 0
         # Look first at distances between cells, which take a tenth of the time.
         if self._is_small(soon & self._far(position, contact.shape, window / 2), window):
             return None
-        at = (np.argwhere(np.ones_like(touching))[:, ::-1] * _STEP + 0.5) * self._cell - 0.5  # (K, 2), of every cell
+        at = np.argwhere(np.ones_like(touching))[:, ::-1] * self._side + (self._cell - 1) / 2  # (K, 2), of every cell
         bare = soon.ravel() & (np.hypot(*(at - position[self._nearest(position, contact.shape)]).T) > window / 2)
         if self._is_small(bare, window):
             return None
         nearest = followed[self._nearest(position[followed], contact.shape)]
         bare &= self._in(touching, at) | self._in(touching, at + _AHEAD * way[nearest])
-        bare[bare] = self._is_new(at[bare], moved[nearest[bare]], seeding[nearest[bare]])
+        is_new = self._is_new(at, moved[nearest], seeding[nearest])
+        bare &= is_new
         if self._is_small(bare, window):
             return None
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
         downstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0)
-        reach = np.clip(_AHEAD * length, window, window + self._cell * _STEP * max(touching.shape))
+        reach = np.clip(_AHEAD * length, window, window + self._side * max(touching.shape))
         steps = np.arange(0, reach.max() + _STRIDE * window, _STRIDE * window)
         seeded = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
-        seeded[seeded] = self._is_new(at[seeded], moved[nearest[seeded]], seeding[nearest[seeded]])
-        return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(pixels)
+        return self._on_topography((seeded & is_new).reshape(touching.shape)) & ~self._near_points(pixels)
 
     def _nearest(self, position: Points, shape: tuple[int, ...]) -> Numbers:
         """Return, for every second cell of every second row, the index (K,) of the nearest of the points `position`
@@ -118,7 +120,7 @@ class NewSkin:
         return np.asarray(far[::_STEP, ::_STEP] > 0)
 
     def _is_small(self, cells: Mask, window: float) -> bool:
-        return bool(np.count_nonzero(cells) * (_STEP * self._cell) ** 2 < window**2)
+        return bool(np.count_nonzero(cells) * self._side**2 < window**2)
 
     def _cells(self, position: Points) -> Points:
         """Return positions (N, 2) px of the contact view in cells."""
@@ -130,7 +132,7 @@ class NewSkin:
 
         The contact is taken to grow as large as that one.
         """
-        radius = max(self._window, np.sqrt(self.searched[0].sum() / np.pi)) * self._per_px / (_STEP * self._cell)
+        radius = max(self._window, np.sqrt(self.searched[0].sum() / np.pi)) * self._per_px / self._side
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(radius) + 1,) * 2)
         return self._on_topography(cv2.dilate(touching.astype(np.uint8), disc) > 0)
 
@@ -139,10 +141,10 @@ class NewSkin:
 
     def _middle(self, touching: Mask) -> Points:
         lines = touching.sum(0), touching.sum(1)  # number of touching cells by column, and by row
-        return np.array([counts @ np.arange(len(counts)) / lines[0].sum() for counts in lines]) * self._cell * _STEP
+        return np.array([counts @ np.arange(len(counts)) / lines[0].sum() for counts in lines]) * self._side
 
     def _in(self, touching: Mask, at: Array) -> Mask:
-        column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
+        column, row = np.floor((at + 0.5) / self._side).astype(int).T
         return _look_up(touching, row, column)
 
     def _is_new(self, at: Array, moved: Points, seeding: Numbers) -> Mask:
@@ -155,8 +157,7 @@ class NewSkin:
         return ~_look_up(np.stack(self.searched), seeding, row, column)
 
     def _on_topography(self, cells: Mask) -> Mask:
-        side = self._cell * _STEP
-        return on_topography(cells.repeat(side, 0).repeat(side, 1), self._matrix, self.searched[0].shape)
+        return on_topography(cells.repeat(self._side, 0).repeat(self._side, 1), self._geometry)
 
     def _near_points(self, position: Points) -> Mask:
         """Return the mask (h, w) of the pixels of the topographic view that lie nearer to a point of `position` (N, 2)
@@ -196,7 +197,18 @@ def _look_up(mask: Mask, *numbers: Numbers) -> Mask:
     return inside & mask[tuple(np.where(inside, index, 0) for index in numbers)]
 
 
-def on_topography(region: Mask, topography_to_contact: Array, shape: tuple[int, ...]) -> Mask:
-    """Return a mask of the contact view as a mask of the topographic view, whose shape is given."""
-    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(region.astype(np.uint8), topography_to_contact, shape[::-1], flags=flags) > 0
+def on_topography(region: Mask, geometry: Geometry) -> Mask:
+    """Return a mask of the contact view as a mask (h, w) of the topographic view."""
+    assert geometry.topography is not None, "points are tracked in it"
+    flags, size = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, geometry.topography.shape[::-1]
+    return cv2.warpAffine(region.astype(np.uint8), geometry.topography_to_contact, size, flags=flags) > 0
+
+
+def touching_skin(margin: Array, cell_px: int, geometry: Geometry) -> Mask:
+    """Return the mask (h, w) of the topographic view of the cells of the contact view, of `cell_px` px, that are
+    positive in `margin`.
+    """
+    assert geometry.contact is not None, "contact is measured in it"
+    rows, columns = geometry.contact.shape
+    cells = (margin > 0).repeat(cell_px, 0).repeat(cell_px, 1)
+    return on_topography(cells[:rows, :columns], geometry)
