@@ -130,13 +130,12 @@ NUMBERS = by_name(
 )
 #: Differences from the reference trial, added when the table is written, for trials that name one.
 DIFFERENCE = "_difference"
-DIFFERENCES: dict[str, Variable] = {
-    f"{name}{DIFFERENCE}": replace(
-        NUMBERS[name], name=f"{name}{DIFFERENCE}", long_name=f"{NUMBERS[name].long_name}; less that of the reference"
-    )
-    for name in (*(column.name for column in _OF_TRIAL if not column.name.endswith("_std")), *AT_MOMENTS)
-}
-#: Columns of the table of trials that are not numeric.
+_COMPARED = [column for column in _OF_TRIAL if not column.name.endswith("_std")]
+_COMPARED += [columns[0] for columns in _QUANTITIES]
+DIFFERENCES = by_name(
+    replace(column, name=f"{column.name}{DIFFERENCE}", long_name=f"{column.long_name}; less that of the reference")
+    for column in _COMPARED
+)
 _FACTS = {
     "status": "measured, failed (no result), or not run",
     "reason": "why a trial has no result",
@@ -147,5 +146,6 @@ _FACTS = {
     "recording": "file of the frames, relative to the study",
     "result": "file of the result, relative to the study",
 }
+#: Columns of the table of trials that are not numeric.
 FACTS = by_name(Variable(name, _TRIAL, "1", meaning) for name, meaning in _FACTS.items())
 OF_RESULTS = frozenset((*NUMBERS, *DIFFERENCES, *FACTS)) - {"recording"}
