@@ -46,16 +46,11 @@ class PixelSamples(NamedTuple):
         """Return the samples of the frames in a slice."""
         return PixelSamples(self.pattern[frames], self.light[frames])
 
-    def last(self, frames: int, before: PixelSamples | None) -> PixelSamples:
-        """Return the samples of the last `frames` frames of a sequence that consists of the frames of `before` (None
-        for none) followed by those of this object.
+    def after(self, before: PixelSamples | None) -> PixelSamples:
+        """Return the samples of a sequence that consists of the frames of `before` (None for none) followed by those of
+        this object.
         """
-        samples = self if before is None else self.after(before)
-        return PixelSamples(*(values[-frames:].copy() for values in samples))
-
-    def after(self, before: PixelSamples) -> PixelSamples:
-        """Return the samples of a sequence that consists of the frames of `before` followed by those of this object."""
-        return PixelSamples(*map(np.concatenate, zip(before, self, strict=True)))
+        return self if before is None else PixelSamples(*map(np.concatenate, zip(before, self, strict=True)))
 
 
 def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
@@ -94,7 +89,7 @@ def squared_distances_before(samples: PixelSamples, before: PixelSamples | None)
     Rows are those of `squared_distances`. They are NaN where there is no such frame. `before` has the samples of the
     frames before, as far as there are any.
     """
-    sequence = samples if before is None else samples.after(before)
+    sequence = samples.after(before)
     count, earlier = len(samples.light), len(sequence.light) - len(samples.light)
     parts = []
     for gap in range(1, LONGEST + 2):

@@ -12,7 +12,7 @@ from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker import frame_distances
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies
-from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
+from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import is_jump, jumps_and_returns
 from tests.small_trials import SPOILED
 
@@ -39,7 +39,7 @@ def distances(frames: Array, size: int = 8) -> Array:
     for k in range(0, len(frames), size):
         samples = PixelSamples.of(block_means(frames[k : k + size])[2])
         parts.append(squared_distances_before(samples, before))
-        before = samples.last(LONGEST + 1, before)
+        before = samples.after(before)
     return np.concatenate(parts)
 
 

@@ -9,14 +9,12 @@ from typing import Any, ClassVar, TypeVar, cast
 import numpy as np
 import xarray as xr
 
-from fingerflow.engines.engine import Images
 from fingerflow.kernels.array_types import Array, Mask, Numbers
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import USABLE
-from fingerflow.schema.views import View
 from fingerflow.tracker.vibration import FRAMES_READ
 
 S = TypeVar("S", bound="Stage")
@@ -35,10 +33,6 @@ class Batch:
     indices: Numbers
     frames: Any = None
     steps: dict[type["Stage"], Any] = field(default_factory=dict)
-
-    def images(self, inputs: Inputs, view: View) -> Images:
-        """Return the images of a view as the engine of the inputs takes them."""
-        return inputs.engine.images(inputs.counts(self.frames, view))
 
 
 @dataclass
@@ -84,6 +78,7 @@ class Stage:
         backward: whether the frames are processed from the last one to the first one.
         restored: False if later stages need more of it than `restore` brings back from an earlier result.
         warnings: messages to the user; of the instance.
+        stored: variables of `gives` that this run stores.
         series: values (frames, ...) by name of the variables that have a few numbers a frame, NaN until they are set;
             `derive` stores them, with the attributes in `about`.
     """
@@ -105,9 +100,10 @@ class Stage:
         self.inputs = trial.inputs
         self.results = trial.results
         self.about: dict[str, Mapping[str, Any]] = {}
+        self.stored = tuple(filter(trial.stores, self.gives))
         self.series = {
             variable.name: np.full((len(trial), *(len(LABELS[dim]) for dim in variable.dims[1:])), np.nan)
-            for variable in filter(trial.stores, self.gives)
+            for variable in self.stored
             if variable.dims[0] == "frame" and variable.dtype == "f8" and LABELS.keys() >= {*variable.dims[1:]}
             if variable.formula is None and all(map(trial.inputs.scene.has, variable.needs))
         }
@@ -147,8 +143,8 @@ class Stage:
         `derive`.
         """
         self.warnings += json.loads(earlier.attrs["stages"])[self.name]["warnings"]
-        for variable in self.gives:
-            if variable.name in earlier and self.trial.stores(variable):
+        for variable in self.stored:
+            if variable.name in earlier:
                 values = earlier[variable.name]
                 sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
                 stated = {name: value for name, value in values.attrs.items() if not name.startswith("flag_")}
@@ -160,9 +156,8 @@ class Stage:
         """Store the series after `finish`, and compute the variables that are formulas of others."""
         for name, values in self.series.items():
             self.results.put(name, values, self.about.get(name))
-        for variable in self.gives:
-            defined = self.trial.stores(variable) and all(name in self.results for name in variable.of)
-            if variable.formula is not None and defined:
+        for variable in self.stored:
+            if variable.formula is not None and all(name in self.results for name in variable.of):
                 # A quotient with the divisor 0 is NaN or infinite, without a warning.
                 with np.errstate(divide="ignore", invalid="ignore"):
                     values = variable.formula(*(self.results[name][:] for name in variable.of))

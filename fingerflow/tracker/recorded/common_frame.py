@@ -5,7 +5,8 @@ import numpy as np
 from fingerflow.kernels.array_types import Numbers, Points
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.onset import interpolate_displacement
-from fingerflow.tracker.vibration import FRAMES_READ, Values
+from fingerflow.tracker.recorded.stored_frames import runs_of_frames
+from fingerflow.tracker.vibration import Values
 
 
 def common_frame(
@@ -33,8 +34,8 @@ def common_frame(
     positions = np.array(position[first : first + 1][0], dtype=np.float64)
     later = status[first : first + 1][0] == TrackStatus.NOT_SEEDED_YET
     waiting, frames = np.zeros(len(positions), np.intp), status.shape[0]
-    for begin in range(0, frames if later.any() else 0, FRAMES_READ):
-        waiting += (status[begin : begin + FRAMES_READ] == TrackStatus.NOT_SEEDED_YET).sum(0)
+    for run in runs_of_frames(frames) if later.any() else ():
+        waiting += (status[run] == TrackStatus.NOT_SEEDED_YET).sum(0)
     seeded = np.where(later, frames - 1 - waiting if backward else waiting, first)
     for frame in sorted(set(seeded[later].tolist()), reverse=backward):
         now, new = position[frame : frame + 1][0], np.flatnonzero(later & (seeded == frame))

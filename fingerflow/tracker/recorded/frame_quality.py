@@ -19,10 +19,6 @@ class RecordedFrameCheck:
 
     Args:
         alone: judges frames by their own pixels.
-
-    Attributes:
-        stale_views: frames in which a view repeats its picture; known after `finish`.
-        repeated: share of the frames that repeat another one; so too.
     """
 
     def __init__(self, alone: PictureCheck) -> None:
@@ -32,7 +28,6 @@ class RecordedFrameCheck:
         self._keys: list[frame_copies.FrameKey] = []
         self._samples: dict[int, PixelSamples] = {}  # of the last frames, for each view
         self._distances: dict[int, list[Array]] = {}  # (n, gaps, rows) of each view
-        self.stale_views, self.repeated = frame_copies.StaleViews(), 0.0
 
     def add_frames(self, views: Sequence[Array]) -> None:
         """Judge the next n frames by themselves, and compare them with those before, from their views (n, H, W), the
@@ -46,20 +41,21 @@ class RecordedFrameCheck:
         for view, pixels in enumerate(frames_alone.pixels):
             samples, before = PixelSamples.of(pixels), self._samples.get(view)
             self._distances.setdefault(view, []).append(squared_distances_before(samples, before))
-            self._samples[view] = samples.last(LONGEST + 1, before)
+            self._samples[view] = samples.after(before).rows(slice(-LONGEST - 1, None))
 
-    def finish(self, unreadable: Iterable[int], exact: bool) -> Array:
-        """Return the status (F,) of all frames, of which those with the numbers `unreadable` have no picture.
+    def finish(self, unreadable: Iterable[int], exact: bool) -> tuple[Array, float, frame_copies.StaleViews]:
+        """Return the status (F,) of all frames, of which those with the numbers `unreadable` have no picture; the share
+        of the frames that repeat another one; and the frames in which a view repeats its picture.
 
         `exact` is False for a codec that predicts frames from others, and so repeats a view in which little moves. More
-        than a fifth of repeated frames (`repeated`) are the camera's, and count.
+        than a fifth of repeated frames are the camera's, and count.
         """
         status = np.concatenate(self._status)
         status[list(unreadable)] = UNREADABLE
         twice = frame_copies.copies(self._keys, status == USABLE)
-        stale = np.array([exact and self.stale_views.update(key) for key in self._keys])
-        self.repeated = twice.mean()
-        if self.repeated <= frame_copies.REPEATED_SHARE:
+        views = frame_copies.StaleViews()
+        stale = np.array([exact and views.update(key) for key in self._keys])
+        if twice.mean() <= frame_copies.REPEATED_SHARE:
             status[twice] = REPEATED
         status[stale & (status == USABLE)] = REPEATED
         distances = np.concatenate([np.concatenate(batches) for batches in self._distances.values()], axis=2)
@@ -67,4 +63,4 @@ class RecordedFrameCheck:
         # Skin may rush as it lands. Nothing tells then whether the picture returns to that of the first frames.
         jumps &= ~np.logical_and.accumulate(np.concatenate(self._empty) & (jumps | (status != USABLE)))
         status[jumps] = JUMPS
-        return status
+        return status, twice.mean(), views

@@ -59,10 +59,10 @@ class ContactStage(Stage):
         self._engine = self.inputs.engine
         self.cell_px = self._engine.cell_px
         self._on_glass = SizesOnGlass(self.inputs.geometry, self.cell_px)
-        frames = len(trial)
-        self._gain = np.full(frames, np.nan)  # illumination gain
-        self._cut = np.zeros(frames)  # share of the border of the contact at the edge of the view
-        self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
+        self._gain = np.full(len(trial), np.nan)  # illumination gain
+        # Share of the border of the contact at the edge of the view, and real contact area, mm^2, away from the gross
+        # contact region.
+        self._cut, self._outside = np.zeros((2, len(trial)))
         self.faint_rim_mm = self._pale_rim_mm = 0.0
         self._specks_mm2 = 0.0  # real contact beside the largest gross contact, by impulses and noise
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
@@ -98,7 +98,7 @@ class ContactStage(Stage):
 
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
-        contact = self._measure(batch.images(self.inputs, self._view))
+        contact = self._measure(self._engine.images(self.inputs.counts(batch.frames, self._view)))
         indices, sizes = batch.indices, self._on_glass.sizes(contact)
         for name, values in {"contact_threshold": contact.threshold, **sizes.by_name()}.items():
             self.series[name][indices] = values

@@ -2,7 +2,7 @@
 fields by local fits, and medians over the gross contact.
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,8 +28,9 @@ from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import EntryGradients, advected, variance_of_late
 from fingerflow.tracker.onset import Touches, Touching
 from fingerflow.tracker.recorded.common_frame import common_frame
+from fingerflow.tracker.recorded.stored_frames import runs_of_frames, values_at
 from fingerflow.tracker.recorded.unseen_touch import UnseenTouches
-from fingerflow.tracker.vibration import FRAMES_READ, SteadyPositions, steady, vibration
+from fingerflow.tracker.vibration import SteadyPositions, steady, vibration
 
 
 class DeformationStage(Stage):
@@ -105,8 +106,7 @@ class DeformationStage(Stage):
         if self._dilated:
             axes = border.semi_axes + inputs.scene.contact.gross_radius_px * inputs.mm_per_px
             self._onset_border = self.border._replace(semi_axes=axes)
-        begin = int(usable[0])
-        here = slice(begin, begin + 1)
+        here = slice(int(usable[0]), int(usable[0]) + 1)
         covered, border_then = self.results["in_contact"][here][0], self._onset_border.select(here)
         self._unseen = UnseenTouches(self.steady_position[here][0], covered, border_then)
         points = position.shape[1]
@@ -123,7 +123,7 @@ class DeformationStage(Stage):
                 self.warnings += plausibility.check_beginning(self.results["gross_contact_area"][:], self.first_frame)
             motion = self.onset, self.reference, self._settings.gauge_length_mm, self._onset_border
             moves_in = advected(self.steady_position, self.common_position, *motion)
-            known = inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)
+            known = inputs.engine, self.onset, self.reference, moves_in, (here.start, len(self.trial) - 1)
             rim_mm = self.trial.stage(ContactStage).faint_rim_mm
             errors = onset_errors(*known, self._select_positions, self._onset_border, rim_mm)
             self.onset_variance, self.of_onset, self.independent = errors
@@ -267,7 +267,7 @@ class DeformationStage(Stage):
     def _find_onsets(self) -> None:
         touch = Touches(self.results["position"].shape[1])
         count, total = np.zeros((2, touch.points))
-        for indices in _runs(len(self.trial)):
+        for indices in runs_of_frames(len(self.trial)):
             _, variance = self._since_touch(touch, self._skin(indices))
             finite = np.isfinite(variance)
             count += finite.sum(0)
@@ -323,23 +323,5 @@ class DeformationStage(Stage):
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
         it, and their deviations (..., N) by image noise, mm.
         """
-        noise = self.mm_per_px * select_frames(self.results["position_noise_px"], frames)
-        return select_frames(self.steady_position, frames), noise
-
-
-def _runs(frames: int) -> list[Numbers]:
-    """Split the frame indices 0 to `frames` - 1 into arrays of `FRAMES_READ` consecutive indices."""
-    return [np.arange(first, min(first + FRAMES_READ, frames)) for first in range(0, frames, FRAMES_READ)]
-
-
-def select_frames(values: Any, frames: Numbers, points: Numbers | None = None) -> Points:
-    """Return the values (..., P, ...) of P points, each taken from `values` (F, N, ...) in the frame that `frames`
-    (..., P) gives for it; `points` are the indices of the points, by default all.
-    """
-    points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
-    result = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
-    for indices in _runs(values.shape[0]):
-        here = np.nonzero((frames >= indices[0]) & (frames <= indices[-1]))
-        if len(here[0]):
-            result[here] = values[indices][frames[here] - indices[0], points[here]]
-    return result
+        noise = self.mm_per_px * values_at(self.results["position_noise_px"], frames)
+        return values_at(self.steady_position, frames), noise

@@ -8,7 +8,7 @@ from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.schema.variables import FRAME_CHECK, UNREADABLE, USABLE
 from fingerflow.tracker.block_means import PictureCheck
 from fingerflow.tracker.frame_copies import REPEATED_SHARE
-from fingerflow.tracker.recorded.recorded_frame_quality import RecordedFrameCheck
+from fingerflow.tracker.recorded.frame_quality import RecordedFrameCheck
 
 _MEANINGS = (  # of the indices into `FRAME_STATUS` from 1 on
     "frames that the recording cannot give whole",
@@ -47,9 +47,8 @@ class FrameCheckStage(Stage):
 
         Raises FingerflowError where no frame is usable.
         """
-        reasons = self.inputs.recording.unreadable
-        status = self._check.finish(reasons, self.inputs.recording.takes_from_other_frames is None)
-        views, repeated = self._check.stale_views, self._check.repeated
+        reasons, exact = self.inputs.recording.unreadable, self.inputs.recording.takes_from_other_frames is None
+        status, repeated, views = self._check.finish(reasons, exact)
         del self._check  # what it holds is larger than the results of a frame without points
         if repeated > REPEATED_SHARE:
             self.warnings.append(

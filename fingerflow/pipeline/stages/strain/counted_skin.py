@@ -5,12 +5,13 @@ from scipy.spatial import Delaunay, QhullError
 
 from fingerflow.kernels.array_types import Array, Mask, Numbers, Points
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, select_frames
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Store, Values
 from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.entry import LEAST_AREA
 from fingerflow.tracker.recorded.new_skin import LEFT
+from fingerflow.tracker.recorded.stored_frames import values_at
 
 # Deviation of a place of onset, relative to the root of twice a triangle's area, from which it distorts the triangle.
 _ERROR = 0.05
@@ -62,8 +63,8 @@ class CountedSkin:
         self._points, self._since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
         self.corners = np.concatenate([plain, len(onset) + np.arange(len(self._since), dtype=np.int32).reshape(-1, 3)])
         self.since = np.concatenate([stage.begins, self._since])
-        self._then = select_frames(self._position, self._since, self._points)
-        noise_px = select_frames(results["position_noise_px"], self._since, self._points)
+        self._then = values_at(self._position, self._since, self._points)
+        noise_px = values_at(results["position_noise_px"], self._since, self._points)
         self._variance = (noise_px * stage.mm_per_px) ** 2
         self.reference = np.concatenate([reference, self._then])
         self.positions_px = stage.inputs.geometry.on_topography(self.reference)
@@ -90,7 +91,7 @@ class CountedSkin:
         """
         touched = np.flatnonzero(begins < self._position.shape[0])
         corners = triangles[touched]
-        then = select_frames(self._position, np.repeat(begins[touched], 3), corners.flatten()).reshape(-1, 3, 2)
+        then = values_at(self._position, np.repeat(begins[touched], 3), corners.flatten()).reshape(-1, 3, 2)
         by_onset, of_skin = (corners_of[:, 1:] - corners_of[:, :1] for corners_of in (reference[corners], then))
         square = np.trace(self._stage.of_onset, axis1=1, axis2=2)[corners].max(1)
         result = np.zeros(len(triangles), dtype=bool)

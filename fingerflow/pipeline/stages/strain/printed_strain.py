@@ -29,6 +29,7 @@ class PrintedStrainStage(Stage):
 
     def begin(self) -> None:
         self._moved = self.trial.stage(DeformationStage)
+        self.about["printed_strain"] = {"measure": self.inputs.scene.fields.strain}
         first = np.flatnonzero(self.results["gross_contact_area"][:] > 0)[:1]
         reference = np.where(self._moved.onset[:, None] >= 0, self._moved.steady_position[first].sum(0), np.nan)
         self._triangles = triangulate(reference)
@@ -48,6 +49,3 @@ class PrintedStrainStage(Stage):
         }
         for name, series in self.series.items():
             series[batch.indices] = values[name]
-
-    def finish(self) -> None:
-        self.about["printed_strain"] = {"measure": self.inputs.scene.fields.strain}

@@ -62,15 +62,13 @@ class TrackingStage(Stage):
         self.backward = self._settings.direction == "backward"
         self._engine = inputs.engine
         self._points = PointSets(self._engine, inputs.geometry, self._settings.template, inputs.knowledge)
-        self._density = 0.0  # points per px of the first seeding region
         self._full = False  # True if no more points may be seeded
-        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
         self._held = np.full(len(trial), np.nan)
 
     def begin(self) -> None:
         """Find the contact region in which points are to be seeded, and warn if no contact is found."""
         contact = self.trial.stage(ContactStage)
-        self._region = contact.seeding_region(self._settings.window_px)
+        self._region = contact.seeding_region(self._settings.window_px)  # (h, w) px of the contact view
         if not self._region.any():
             self.warnings.append(f"no contact at {contact.moment}: there are no points. Check threshold and views")
             self._create(0)
@@ -89,7 +87,7 @@ class TrackingStage(Stage):
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         margin = batch.steps[ContactStage].density_margin
-        images = batch.images(self.inputs, self._view)
+        images = self._engine.images(self.inputs.counts(batch.frames, self._view))
         numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self.usable[batch.indices])) + 1
         # New skin is searched, and windows are compared, where templates are checked.
         for run in np.split(numbers, np.union1d(changes, numbers[MOST_FRAMES::MOST_FRAMES])):
@@ -133,8 +131,8 @@ class TrackingStage(Stage):
             self.results["position_anisotropy"][:] = self._points.anisotropy() if by_key else 0.0
 
     def _create(self, points: int, noise: float = np.nan) -> None:
-        for variable in TRACKING:
-            if "point" in variable.dims and self.trial.stores(variable):
+        for variable in self.stored:
+            if "point" in variable.dims:
                 about = {"image_noise": noise} if variable.name == "position_std_px" else None
                 self.results.create(variable.name, about, point=points)
         for frame in np.flatnonzero(~self.usable):
@@ -161,7 +159,7 @@ class TrackingStage(Stage):
         self.warnings += plausibility.check_seeded_region(self._outside(where, margin))
         self.warnings += plausibility.check_impulses(self._impulses(image))
         self._create(len(points), noise_of(self._engine, image))
-        self._density = len(points) / float(where.sum())
+        self._density = len(points) / float(where.sum())  # points per px
         return self._points.seed(images, points, where, margin)
 
     def _impulses(self, image: Images) -> float:
