@@ -4,6 +4,7 @@ method by method.
 
 import dataclasses
 import logging
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -402,3 +403,11 @@ check_engine(open_onnx(bundle), bundle.expected)
     command = [sys.executable, "-c", code, str(bundle.folder)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, env=None)
     assert ended.returncode == 0, ended.stderr
+
+
+def test_onnx_runtime_sends_no_usage_data(tmp_path: Path) -> None:
+    """It would write a database of events below the home directory as it is imported."""
+    surroundings = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
+    surroundings |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", "import fingerflow.engines.sessions"], env=surroundings, check=True)
+    assert not [*tmp_path.rglob("*")]
