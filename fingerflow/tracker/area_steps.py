@@ -1,5 +1,5 @@
 """Faults of the gross contact area, in recordings and streams: steps from one frame to the next that no contact makes,
-and a contact that the edge of the view cuts off.
+a contact that ends and begins again, and one that the edge of the view cuts off.
 
 Areas are in mm^2 and forces in N, one value a frame from number `first_frame` on, NaN where there is none.
 """
@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.array_types import Series
 from fingerflow.tracker.frame_distances import LONGEST
+from fingerflow.tracker.onset import LASTING
 
 # Change of the contact area between successive frames, as a share of the view's area, that no contact reaches.
 _JUMP = 0.25
 # Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
 # neighbouring frames on either side.
 _MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
+_TOUCHES = 0.02  # share of the largest area above which the finger touches
 # Least share of the border of the contact at the edge of the view, and least area, mm², of which it is reported.
 _CUT, _CUT_MM2 = 0.03, 1.0
 
@@ -64,6 +66,20 @@ def check_light_steps(gross: Series, view_area: float, first_frame: int) -> Iter
             f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
             f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
             f"recording.first_frame and last_frame"
+        )
+
+
+def check_second_touch(gross: Series, first_frame: int) -> Iterator[str]:
+    """Yield a warning if a contact that has lasted ends and begins again."""
+    touching = np.flatnonzero(gross > _TOUCHES * np.nanmax(gross, initial=0.0))
+    lifted = np.diff(np.cumsum(gross == 0)[touching]) > 0
+    again = touching[LASTING:][lifted[LASTING - 1 :]]
+    if len(again):
+        yield (
+            f"the finger leaves the glass and touches it again, {len(again)} times, first in frame "
+            f"{again[0] + first_frame}: from there on, displacement, strain and strain energy count from the first "
+            f"touch and contain how the skin moved in the air. Process each touch alone, by recording.first_frame and "
+            f"last_frame; in a stream, reseed the points before each"
         )
 
 

@@ -166,7 +166,9 @@ def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys:
 
 
 def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixture) -> None:
-    """A stream warns of missing frames, and of light that falls to half and stays there, as a recording does."""
+    """A stream warns of missing frames, of light that falls to half and stays there, and of a second touch, as a
+    recording does.
+    """
     dim = small.frames.copy()
     dim[60:, :, small_trials.WIDTH :] //= 2
     for frames, words in (
@@ -179,3 +181,7 @@ def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixtu
         steps = [line for line in caplog.messages if "the gross contact area" in line]
         assert words in str(steps)
         assert bool(steps) == bool(words)
+        assert "touches it again" not in caplog.text
+    noise = np.random.default_rng(0).integers(0, 2, (3, *small.frames.shape), small.frames.dtype)
+    small.play(np.concatenate([small.frames, small.frames[::-1], small.frames]) ^ np.concatenate(noise))
+    assert "the finger leaves the glass and touches it again, 1 times" in caplog.text

@@ -36,6 +36,9 @@ def test_what_is_plausible_says_nothing() -> None:
         messages += [plausibility.check_force(normal), plausibility.check_pressure(normal, gross)]
         messages += [plausibility.check_onset(normal, gross, 0), plausibility.check_growth(normal, gross)]
         messages += [area_steps.check_missing_frames(gross, normal, 0)]
+    # A contact that lets go, or that chatters as it begins, touches once.
+    chatter = np.concatenate([[0, 1, 0], gross, gross[::-1], [0, 0]])
+    messages += [area_steps.check_second_touch(area, 0) for area in (gross, chatter, nothing, nothing[:1])]
     assert not any(map(list, messages))
 
 
@@ -58,6 +61,8 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     # An unusable frame between two frames does not hide a jump.
     (jump,) = area_steps.check_light_steps(np.array([3.0, np.nan, 60, 61]), 100.0, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
+    (again,) = area_steps.check_second_touch(np.array([0, 2.0, 3, 4, 0, np.nan, 0, 3, 4]), 10)
+    assert "touches it again, 1 times, first in frame 17:" in again
     (lost,) = plausibility.check_tracking(np.array([1, 0.4, 0.1]), np.zeros(3), 5)
     assert "in 2 frames, the first is 6 (40%)" in lost
 
@@ -145,6 +150,17 @@ def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array)
     without = result["gross_contact_area"].values == 0
     assert without[-1]
     assert (result["strain_energy"].values[without] == 0).all()
+    assert "touches it again" not in warnings_of(result)
+
+
+def test_a_second_touch_is_said_unless_displacement_counts_from_a_frame(changed: Change, frames: Array) -> None:
+    again = np.concatenate([frames, frames[::-1], frames]) ^ np.arange(24, dtype=np.uint8)[:, None, None] % 2
+    first = {"trigger_frame = 1 ": ""}
+    result = process(changed(first, frames=again, forces=False), ["displacement"])
+    assert "touches it again, 1 times, first in frame 18" in warnings_of(result)
+    since = first | {'reference = "onset"': 'reference = "first_frame"'}
+    result = process(changed(since, frames=again, forces=False), ["displacement"])
+    assert "touches it again" not in warnings_of(result)
 
 
 def test_a_report_of_another_recording_is_refused(changed: Change, frames: Array, press: Path, tmp_path: Path) -> None:

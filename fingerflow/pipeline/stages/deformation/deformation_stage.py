@@ -19,6 +19,7 @@ from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
+from fingerflow.tracker.area_steps import check_second_touch
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import onset_errors
@@ -119,8 +120,10 @@ class DeformationStage(Stage):
         self._find_onsets()
         moves_in = np.zeros(points, dtype=bool)
         if self.by_onsets:
+            gross = self.results["gross_contact_area"][:]
+            self.warnings += check_second_touch(gross, self.first_frame)
             if pressed:
-                self.warnings += plausibility.check_beginning(self.results["gross_contact_area"][:], self.first_frame)
+                self.warnings += plausibility.check_beginning(gross, self.first_frame)
             motion = self.onset, self.reference, self._settings.gauge_length_mm, self._onset_border
             moves_in = advected(self.steady_position, self.common_position, *motion)
             known = inputs.engine, self.onset, self.reference, moves_in, (here.start, len(self.trial) - 1)
