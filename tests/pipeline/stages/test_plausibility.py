@@ -36,9 +36,12 @@ def test_what_is_plausible_says_nothing() -> None:
         messages += [plausibility.check_force(normal), plausibility.check_pressure(normal, gross)]
         messages += [plausibility.check_onset(normal, gross, 0), plausibility.check_growth(normal, gross)]
         messages += [area_steps.check_missing_frames(gross, normal, 0)]
-    # A contact that lets go, or that chatters as it begins, touches once.
+    # A contact that lets go, or that chatters as it begins, touches once; a noisy, steady force is below its limit.
     chatter = np.concatenate([[0, 1, 0], gross, gross[::-1], [0, 0]])
     messages += [area_steps.check_second_touch(area, 0) for area in (gross, chatter, nothing, nothing[:1])]
+    messages += [plausibility.check_growth_time(area) for area in (gross, gross[9:], chatter, nothing)]
+    noisy = np.round(np.minimum(np.arange(4000) / 800, 3) + np.random.default_rng(0).normal(0, 0.005, 4000), 3)
+    messages += [plausibility.check_saturation(one, "normal_force") for one in (noisy, np.minimum(force, 3), nothing)]
     assert not any(map(list, messages))
 
 
@@ -63,6 +66,12 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
     (again,) = area_steps.check_second_touch(np.array([0, 2.0, 3, 4, 0, np.nan, 0, 3, 4]), 10)
     assert "touches it again, 1 times, first in frame 17:" in again
+    (quick,) = plausibility.check_growth_time(np.array([0, 0, 30, 60, 75, 79, 80.0]))
+    assert "grows to its size in 2 frames" in quick
+    ramp = np.arange(4000) / 800 + np.random.default_rng(0).normal(0, 0.005, 4000)
+    for clipped in (np.minimum(ramp, 3), np.maximum(-ramp, -3), np.append(np.minimum(ramp, 3), np.nan)):
+        (limit,) = plausibility.check_saturation(clipped, "normal_force")
+        assert "of 4000 samples of the normal force are 3 N, none is larger" in limit
     (lost,) = plausibility.check_tracking(np.array([1, 0.4, 0.1]), np.zeros(3), 5)
     assert "in 2 frames, the first is 6 (40%)" in lost
 

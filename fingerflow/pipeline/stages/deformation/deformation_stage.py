@@ -124,6 +124,7 @@ class DeformationStage(Stage):
             self.warnings += check_second_touch(gross, self.first_frame)
             if pressed:
                 self.warnings += plausibility.check_beginning(gross, self.first_frame)
+                self.warnings += plausibility.check_growth_time(gross)
             motion = self.onset, self.reference, self._settings.gauge_length_mm, self._onset_border
             moves_in = advected(self.steady_position, self.common_position, *motion)
             known = inputs.engine, self.onset, self.reference, moves_in, (here.start, len(self.trial) - 1)

@@ -57,6 +57,7 @@ class LoadingStage(Stage):
         self.warnings += forces.warnings
         self._check(settings.file, forces, names["normal_force"], values["normal_force"])
         for name, column in names.items():
+            self.warnings += plausibility.check_saturation(forces.channels[name], name)
             if unknown := int(np.isnan(forces.channels[name]).sum()):
                 self.warnings.append(
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "

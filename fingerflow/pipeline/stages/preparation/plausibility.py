@@ -31,6 +31,11 @@ _SAFE = 1.5  # factor on the area expected by that law, above which a warning is
 _RISES, _FOLLOWS = 1.1, 0.05
 # Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
 _STARTS, _GROWS = 0.02, 1.1
+_GROWN = 0.9  # share of the largest area at which a contact has grown
+_STEPS = 4  # least frames in which a contact grows to 0.9 of its area: in 3, medians err by five deviations
+# Least number and share of samples at the limit of a saturated force sensor, least ratio to the samples at the next
+# value, and least share of changes of direction from sample to sample below it, by which noise is seen.
+_AT_LIMIT, _AT_LIMIT_SHARE, _PILED_UP, _NOISY = 20, 0.005, 5, 0.2
 _CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is given
 ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
@@ -127,6 +132,22 @@ def check_force(normal: Series) -> Iterator[str]:
         )
 
 
+def check_saturation(force: Series, name: str) -> Iterator[str]:
+    """Yield a warning if samples of a force in N pile up at its largest value, while those below it are noisy: the
+    sensor, or its amplifier, is saturated. Without noise a steady force gives equal samples, too.
+    """
+    size = np.abs(force[np.isfinite(force)])
+    largest = size.max(initial=0.0)
+    step = np.diff(size[size < largest])
+    if len(step) > 1 and np.mean(step[1:] * step[:-1] < 0) > _NOISY:
+        many, beside = (size == largest).sum(), (size == size[size < largest].max()).sum()
+        if many > max(_AT_LIMIT, _AT_LIMIT_SHARE * size.size, _PILED_UP * beside):
+            yield (
+                f"{many} of {size.size} samples of the {name.replace('_', ' ')} are {largest:.4g} N, none is larger: "
+                "the sensor or its amplifier is saturated, and the true force larger. Raise its range, or press less"
+            )
+
+
 def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
     """Yield a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
     touching = np.isfinite(normal) & (gross > 0)
@@ -202,6 +223,18 @@ def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
             f"{measured[0] + first_frame}, and displacement there lacks what came before: "
             f"{'lower recording.first_frame, ' if first_frame else ''}record earlier, or give fields.reference"
+        )
+
+
+def check_growth_time(gross: Series) -> Iterator[str]:
+    """Yield a warning if a contact grows to nearly its largest area (mm^2) in few frames."""
+    area = np.nan_to_num(gross)
+    touches, grown = int(np.argmax(area > 0)), int(np.argmax(area >= _GROWN * area.max(initial=0.0)))
+    if touches and grown - touches < _STEPS:
+        yield (
+            f"the contact grows to its size in {grown - touches} frames: skin moves far between touching and the frame "
+            f"that shows it, and displacement, medians and energy err by more than stated. Record at a higher frame "
+            f"rate, or press more slowly"
         )
 
 
