@@ -1,15 +1,15 @@
 """fingerflow: contact area, skin motion and strain from high-speed recordings of a fingertip on glass."""
 
-import os
 from importlib import import_module
 from importlib.util import find_spec
+from os import environ
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
 # ONNX Runtime 1.31 sends usage data to its maker, from threads that look up host names, unless this is set before it is
 # imported.
-os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if TYPE_CHECKING:
     from fingerflow.pipeline.run import process as process
