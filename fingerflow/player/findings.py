@@ -33,6 +33,7 @@ class Findings:
         self._wide = self._unknown = 0  # frames with a wide contact, and those of them without median divergence
         self._first_unknown = self._last_unknown = -1
         self.cut = 0.0, 0
+        self.seeded = 0  # frame in which the present points were seeded, from which touches count
 
     def skip(self, status: int) -> bool:
         """Count an unusable frame by its status, an index into `FRAME_STATUS`; return whether the status differs from
@@ -69,8 +70,12 @@ class Findings:
             yield from check_missing_frames(gross, None, first)
 
     def second_touches(self) -> Iterator[str]:
-        """Yield a warning if the finger has touched again among the latest frames. Safe in any thread."""
-        yield from check_second_touch(*self._latest_areas())
+        """Yield a warning if the finger has touched again with the present points, among the latest frames. Safe in any
+        thread.
+        """
+        gross, first = self._latest_areas()
+        gross[: max(self.seeded - first, 0)] = np.nan
+        yield from check_second_touch(gross, first)
 
     def _latest_areas(self) -> tuple[Series, int]:
         areas = dict([*self._areas])

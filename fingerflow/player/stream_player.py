@@ -477,6 +477,8 @@ class Player:
         while item is not None or len(self._outcomes) >= self._least():
             item, following = item or self._outcomes.get(), None
             if isinstance(item, Event):
+                if item.name == "restart":
+                    self._findings.seeded = item.frame
                 self._sink.event(item.name, item.frame, **item.facts)
                 log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
             elif item is not None:

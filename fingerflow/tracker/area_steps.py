@@ -76,10 +76,10 @@ def check_second_touch(gross: Series, first_frame: int) -> Iterator[str]:
     again = touching[LASTING:][lifted[LASTING - 1 :]]
     if len(again):
         yield (
-            f"the finger leaves the glass and touches it again, {len(again)} times, first in frame "
-            f"{again[0] + first_frame}: from there on, displacement, strain and strain energy count from the first "
-            f"touch and contain how the skin moved in the air. Process each touch alone, by recording.first_frame and "
-            f"last_frame; in a stream, reseed the points before each"
+            f"the finger leaves the glass and touches it again in frame {again[0] + first_frame}"
+            f"{' and later' if len(again) > 1 else ''}: from there on, displacement, strain and strain energy count "
+            f"from the first touch and contain how the skin moved in the air. Process each touch alone, by "
+            f"recording.first_frame and last_frame; in a stream, reseed the points before each"
         )
 
 

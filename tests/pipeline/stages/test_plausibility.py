@@ -65,7 +65,7 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     (jump,) = area_steps.check_light_steps(np.array([3.0, np.nan, 60, 61]), 100.0, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
     (again,) = area_steps.check_second_touch(np.array([0, 2.0, 3, 4, 0, np.nan, 0, 3, 4]), 10)
-    assert "touches it again, 1 times, first in frame 17:" in again
+    assert "touches it again in frame 17:" in again
     (quick,) = plausibility.check_growth_time(np.array([0, 0, 30, 60, 75, 79, 80.0]))
     assert "grows to its size in 2 frames" in quick
     ramp = np.arange(4000) / 800 + np.random.default_rng(0).normal(0, 0.005, 4000)
@@ -166,7 +166,7 @@ def test_a_second_touch_is_said_unless_displacement_counts_from_a_frame(changed:
     again = np.concatenate([frames, frames[::-1], frames]) ^ np.arange(24, dtype=np.uint8)[:, None, None] % 2
     first = {"trigger_frame = 1 ": ""}
     result = process(changed(first, frames=again, forces=False), ["displacement"])
-    assert "touches it again, 1 times, first in frame 18" in warnings_of(result)
+    assert "touches it again in frame 18" in warnings_of(result)
     since = first | {'reference = "onset"': 'reference = "first_frame"'}
     result = process(changed(since, frames=again, forces=False), ["displacement"])
     assert "touches it again" not in warnings_of(result)
