@@ -23,7 +23,7 @@ class FrameContact(NamedTuple):
         threshold: (K,) relative intensity loss above which a pixel touches, NaN without contact; None if not stated.
     """
 
-    real_contact_mask: Values
+    real_contact_mask: Values | None
     real_area_px: Values
     gross_area_px: Values
     center: Values
@@ -101,7 +101,7 @@ class EnteredPoints(NamedTuple):
 
     among: Values
     gradient: Values
-    covariance: Values
+    covariance: Values | None
 
 
 class FrameFields(NamedTuple):
@@ -122,10 +122,10 @@ class FrameFields(NamedTuple):
     curl: Values
     strain: Values
     shear: Values
-    divergence_std: Values
-    curl_std: Values
+    divergence_std: Values | None
+    curl_std: Values | None
     median: Values
-    median_std: Values
+    median_std: Values | None
     known_share: Values
 
 
@@ -134,7 +134,7 @@ class LocalFit(NamedTuple):
 
     value: Values  # (B, Q, C), the unit of the values
     gradient: Values  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit
-    covariance: Values  # (B, Q, C, 2, C, 2), [..., i, j, k, l] = cov(gradient_ij, gradient_kl)
+    covariance: Values | None  # (B, Q, C, 2, C, 2), [..., i, j, k, l] = cov(gradient_ij, gradient_kl)
     point_count: Values  # (B, Q) int64, number of usable points within the support
     centroid_offset: Values  # (B, Q), distance from the query to the weighted centroid of its points, length unit
 

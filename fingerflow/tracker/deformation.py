@@ -200,7 +200,10 @@ class Deformation:
         self._square = sizes[-1:]
         growth = np.minimum(np.maximum(size / sizes[latest], 1), 16)
         of_fields = of_smoothing[latest] * growth[:, None, None] + since.late
+        assert fields.divergence_std is not None
+        assert fields.curl_std is not None
         divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])
         curl_std = np.sqrt(fields.curl_std**2 + of_fields[:, 1])
+        assert fields.median_std is not None
         variance = np.square(fields.median_std) + ranks
         return fields._replace(divergence_std=divergence_std, curl_std=curl_std), variance, np.array(course)[latest]

@@ -106,6 +106,8 @@ class FrameResults:
         now = self._deformation.step(skin, self)
         fields, median, median_std = now.fields, now.fields.median, np.sqrt(now.variance + now.bias)
         length, length_std = displacement_length(now.vector, now.vector_std)
+        assert fields.divergence_std is not None
+        assert fields.curl_std is not None
         return {
             **sizes.by_name(),
             "illumination_gain": contact.illumination_gain,

@@ -35,6 +35,7 @@ def bias_variance(
         entered: points that were advected into the contact.
         since_onset: (n, 1) whether displacements count from the onsets of contact.
     """
+    assert fields.median_std is not None
     # In a space of half the size the gauge length counts twice.
     half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
     smaller = ellipse._replace(semi_axes=ellipse.semi_axes - ELLIPSE_MM)

@@ -193,7 +193,8 @@ class ContactStage(Stage):
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest, self._glass
-        mask = contact.real_contact_mask  # the engines of recordings return it
+        mask = contact.real_contact_mask
+        assert mask is not None, "the engines of recordings return it"
         away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings += plausibility.check_clipped("contact", self._view.crop(frame))
@@ -217,6 +218,7 @@ class ContactStage(Stage):
         """Measure the faint rim of the `contact` in a picture, and return a warning if there is one."""
         image = self._engine.images(counts)
         gross, self._pale_rim_mm = pale_rim(self._engine, image, self._light, contact, self._on_glass)
+        assert contact.real_contact_mask is not None
         thin_rim_mm = view_faults.thin_rim_mm(contact.real_contact_mask[0, 0], self._largest, self._period_px)
         rim = max(self._pale_rim_mm, thin_rim_mm)
         radius = self.inputs.scene.contact.gross_radius_px
@@ -227,6 +229,7 @@ class ContactStage(Stage):
     def _leave_out_parts(self, contact: FrameContact, indices: Numbers, pixel_mm2: Series) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
         radius_px, cell_px = self.inputs.scene.contact.gross_radius_px, self.cell_px
+        assert contact.real_contact_mask is not None
         masks, region = contact.real_contact_mask[:, 0], contact.density_margin[:, 0] > 0
         # Every pixel is looked at where sampled ones show a fourth of what is warned of.
         away = view_faults.outside_region(region.any(0), cell_px, radius_px)
