@@ -179,4 +179,4 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.axvline(1, color=BLUE)
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
-        axes.set(xlim=(0, 1.05), xlabel="time or error over that of OpenCV's pipeline (blue)")
+        axes.set(xlim=(0, 1.05 * max(1, *ratios)), xlabel="time or error over that of OpenCV's pipeline (blue)")
