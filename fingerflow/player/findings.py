@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fingerflow.kernels.array_types import Series
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
-from fingerflow.tracker.area_steps import check_light_steps, check_missing_frames, check_second_touch
+from fingerflow.tracker.area_steps import check_light_steps, check_missing_frames
 
 _WIDE_MM2 = 8.0  # mm², twice a usual gauge length in diameter; a smaller contact may lack a median divergence
 _AREAS = 4096  # number of latest frames whose areas are kept
@@ -33,7 +32,6 @@ class Findings:
         self._wide = self._unknown = 0  # frames with a wide contact, and those of them without median divergence
         self._first_unknown = self._last_unknown = -1
         self.cut = 0.0, 0
-        self.seeded = 0  # frame in which the present points were seeded, from which touches count
 
     def skip(self, status: int) -> bool:
         """Count an unusable frame by its status, an index into `FRAME_STATUS`; return whether the status differs from
@@ -64,23 +62,12 @@ class Findings:
         """Yield warnings of steps of the gross area among the latest frames, as `process` gives them, from the area of
         the view, mm^2, and whether skin slides. Safe in any thread.
         """
-        gross, first = self._latest_areas()
+        areas = dict([*self._areas])
+        first = max(areas, default=0) - _AREAS
+        gross = np.array([areas.get(first + k, np.nan) for k in range(_AREAS + 1)])
         yield from check_light_steps(gross, view_area, first)
         if not slides:
             yield from check_missing_frames(gross, None, first)
-
-    def second_touches(self) -> Iterator[str]:
-        """Yield a warning if the finger has touched again with the present points, among the latest frames. Safe in any
-        thread.
-        """
-        gross, first = self._latest_areas()
-        gross[: max(self.seeded - first, 0)] = np.nan
-        yield from check_second_touch(gross, first)
-
-    def _latest_areas(self) -> tuple[Series, int]:
-        areas = dict([*self._areas])
-        first = max(areas, default=0) - _AREAS
-        return np.array([areas.get(first + k, np.nan) for k in range(_AREAS + 1)]), first
 
     def missing(self, threshold_known: bool) -> list[str]:
         """Return a warning sentence for each kind of result that was found in no frame of the stream; `threshold_known`

@@ -207,7 +207,7 @@ class Player:
 
     def _log_faults(self) -> None:
         """Log each fault of the recording once: a faint rim, a contact cut off by the view, a frozen view, steps of the
-        area, a second touch, and vibration. Slides are left out of the last: all skin may tremble together there.
+        area, and vibration. Slides are left out of the last: all skin may tremble together there.
         """
         slides, mm_per_px = self.scene.kind == "slip", self._tracker.geometry.topography_mm_per_px
         view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2
@@ -216,7 +216,6 @@ class Player:
             "cut": check_cut(*self._findings.cut),
             "stale": self._tracker.check.stale_views.warnings(),
             "steps": self._findings.area_steps(view_mm2, slides),
-            "touches": self._findings.second_touches(),
             "vibrates": () if slides else self._tracker.results.entries.check_vibration(mm_per_px),
         }.items():
             for sentence in () if fault in self._logged else sentences:
@@ -477,8 +476,6 @@ class Player:
         while item is not None or len(self._outcomes) >= self._least():
             item, following = item or self._outcomes.get(), None
             if isinstance(item, Event):
-                if item.name == "restart":
-                    self._findings.seeded = item.frame
                 self._sink.event(item.name, item.frame, **item.facts)
                 log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
             elif item is not None:

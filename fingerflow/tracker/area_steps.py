@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.array_types import Series
+from fingerflow.kernels.array_types import Numbers, Series
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.onset import LASTING
 
@@ -69,18 +69,11 @@ def check_light_steps(gross: Series, view_area: float, first_frame: int) -> Iter
         )
 
 
-def check_second_touch(gross: Series, first_frame: int) -> Iterator[str]:
-    """Yield a warning if a contact that has lasted ends and begins again."""
+def second_touches(gross: Series) -> Numbers:
+    """Return the indices (k,) of frames in which a contact begins again that had lasted and ended."""
     touching = np.flatnonzero(gross > _TOUCHES * np.nanmax(gross, initial=0.0))
     lifted = np.diff(np.cumsum(gross == 0)[touching]) > 0
-    again = touching[LASTING:][lifted[LASTING - 1 :]]
-    if len(again):
-        yield (
-            f"the finger leaves the glass and touches it again in frame {again[0] + first_frame}"
-            f"{' and later' if len(again) > 1 else ''}: from there on, displacement, strain and strain energy count "
-            f"from the first touch and contain how the skin moved in the air. Process each touch alone, by "
-            f"recording.first_frame and last_frame; in a stream, reseed the points before each"
-        )
+    return touching[LASTING:][lifted[LASTING - 1 :]]
 
 
 def cut_shares(margin: NDArray[np.floating], gross: Series) -> Series:

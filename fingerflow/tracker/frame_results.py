@@ -7,6 +7,7 @@ import numpy as np
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, EnteredPoints, FrameContact, TrackedPoints
 from fingerflow.kernels.array_types import Array
+from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import sparse_border_mm
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
@@ -72,6 +73,7 @@ class FrameResults:
         self._sizes: Sizes  # of the contact in the present frames
         self._entered = np.zeros((0, 0), dtype=bool)  # which points have entered, in each of them
         self._touches, self._inherited = Touches(0), np.zeros(0)
+        self._lifted = False  # whether there was no contact in the latest frame
 
     def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints, pull: Array) -> dict[str, Array]:
         """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
@@ -80,11 +82,12 @@ class FrameResults:
         They do not depend on how many frames are computed at once, but for rounding of float32.
         """
         covered = covers(contact.density_margin, points.estimate, self._to_contact, self._engine.cell_px)
+        touched = contact.gross_area_px != 0
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
         parts, first = list[dict[str, Array]](), 0
         while first < len(covered):
-            frames = slice(first, first + self._batch(covered[first:]))
+            frames = slice(first, first + self._batch(covered[first:], touched[first:]))
             here = select_frames(contact, frames), select_frames(points, frames)
             parts.append(self._at_once(*here, covered[frames], pull[frames]))
             first = frames.stop
@@ -105,6 +108,10 @@ class FrameResults:
         skin = SkinFrames(numbers, covered, self._geometry.on_glass(points.points), variance, curvature, sizes.ellipse)
         now = self._deformation.step(skin, self)
         fields, median, median_std = now.fields, now.fields.median, np.sqrt(now.variance + now.bias)
+        # Skin that was in contact when it was seeded lies in the middle, where fields are largest.
+        inside = np.add.reduce(covered & np.isnan(self._inherited), 1)
+        median[inside > (1 - LEAST_SHARE) * np.add.reduce(covered, 1)] = np.nan
+        median_std[np.isnan(median)] = np.nan
         length, length_std = displacement_length(now.vector, now.vector_std)
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
@@ -125,13 +132,17 @@ class FrameResults:
             "slip_flag": slipping,
         }
 
-    def _batch(self, covered: Array) -> int:
+    def _batch(self, covered: Array, touched: Array) -> int:
         """Return how many of the next frames can be computed at once, given which points the contact covers in each,
-        `covered` (n, N): those before a point touches again elsewhere, and one while it is unknown from where points
-        count, or how medians err by the gauge length; and one for graphs of fixed shapes.
+        `covered` (n, N), and whether there is a contact, `touched` (n,): those before the finger lands, or a point
+        touches again elsewhere, and one while it is unknown from where points count, or how medians err by the gauge
+        length; and one for graphs of fixed shapes.
         """
         if self._engine.fixed or np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
             return 1
+        landing = touched[1:] > touched[:-1]
+        if np.logical_or.reduce(landing):
+            covered = covered[: 1 + int(landing.argmax())]
         before = np.logical_or.accumulate(covered[:-2])
         again = before & (covered[1:-1] < covered[2:]) & (self._touches.length < LASTING)
         frames = np.logical_or.reduce(again, 1)
@@ -166,7 +177,9 @@ class FrameResults:
         """Return the displacement in the next n frames since the onset of contact of each point (`Onsets`)."""
         position, px2, entries, sizes = skin.position, np.float32(self._per_px**2), self.entries, self._sizes
         self._frames += len(position)
-        left = np.isnan(self._inherited) & (skin.covered[0] == 0)
+        # Skin moves in the air: all touches begin anew as the finger lands.
+        left = (np.isnan(self._inherited) & (skin.covered[0] == 0)) | self._lifted
+        self._lifted = sizes.gross[-1] == 0
         if np.logical_or.reduce(left):
             self._inherited[left] = 0
             self._touches.replace(left.nonzero()[0], np.full((1, 2), np.nan))

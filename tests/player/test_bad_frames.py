@@ -166,9 +166,7 @@ def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys:
 
 
 def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixture) -> None:
-    """A stream warns of missing frames, of light that falls to half and stays there, and of a second touch, as a
-    recording does.
-    """
+    """A stream warns of missing frames, and of light that falls to half and stays there, as a recording does."""
     dim = small.frames.copy()
     dim[60:, :, small_trials.WIDTH :] //= 2
     for frames, words in (
@@ -181,7 +179,17 @@ def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixtu
         steps = [line for line in caplog.messages if "the gross contact area" in line]
         assert words in str(steps)
         assert bool(steps) == bool(words)
-        assert "touches it again" not in caplog.text
-    noise = np.random.default_rng(0).integers(0, 2, (3, *small.frames.shape), small.frames.dtype)
-    small.play(np.concatenate([small.frames, small.frames[::-1], small.frames]) ^ np.concatenate(noise))
-    assert "the finger leaves the glass and touches it again in frame" in caplog.text
+
+
+def test_skin_that_moves_in_the_air_begins_a_new_touch(small: Small) -> None:
+    """Displacement and strain of a finger that lands with skin 3 px aside count from there."""
+    topography, contact = np.split(small.frames, [small_trials.WIDTH], axis=2)
+    aside = np.concatenate([np.roll(topography, 3, axis=2), contact], axis=2)
+    again = np.concatenate([small.frames, small.frames[::-1], aside])
+    again ^= np.random.default_rng(0).integers(0, 2, again.shape, again.dtype)
+    records = small.play(again).records
+    first, second = records[len(small.frames) - 1], records[-1]
+    for name in ("global_displacement", "median_divergence"):
+        deviation = np.hypot(first[f"{name}_std"], second[f"{name}_std"])
+        assert abs(second[name] - first[name]) < 2 * deviation, name
+    assert second["global_displacement"] > 5 * second["global_displacement_std"]

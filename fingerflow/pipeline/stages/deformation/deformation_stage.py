@@ -19,7 +19,7 @@ from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
-from fingerflow.tracker.area_steps import check_second_touch
+from fingerflow.tracker.area_steps import second_touches
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import onset_errors
@@ -117,11 +117,17 @@ class DeformationStage(Stage):
             reference = self._skin(np.array([then]))
             self._fixed, self._fixed_noise = reference.position[0], reference.noise[0]
             self._curvature_then = reference.curvature[0] * np.float32(self.mm_per_px**2)
+        gross = self.results["gross_contact_area"][:]
+        self._landings = second_touches(gross) if self.by_onsets else np.zeros(0, int)
         self._find_onsets()
         moves_in = np.zeros(points, dtype=bool)
         if self.by_onsets:
-            gross = self.results["gross_contact_area"][:]
-            self.warnings += check_second_touch(gross, self.first_frame)
+            for frame in self._landings[:1] + self.first_frame:
+                self.warnings.append(
+                    f"the finger leaves the glass and touches it again in frame {frame}: from there on, displacement "
+                    f"and strain of skin that touched before are unknown. Process each touch alone, by "
+                    f"recording.first_frame and last_frame"
+                )
             if pressed:
                 self.warnings += plausibility.check_beginning(gross, self.first_frame)
                 self.warnings += plausibility.check_growth_time(gross)
@@ -318,6 +324,9 @@ class DeformationStage(Stage):
             begins = np.broadcast_to((frames == self.reference_frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved[usable] = position - touching.position
+        if len(self._landings):  # skin moves in the air between two touches
+            later, since = (np.searchsorted(self._landings, at, "right") for at in (frames[:, None], touch.start))
+            moved[usable] = np.where((later > since)[..., None], np.nan, moved[usable])
         variance = noise_variance(variance, touching, adds_up=self.inputs.scene.tracking.template == "previous")
         noise[usable] = variance * np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
