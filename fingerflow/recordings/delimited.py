@@ -15,11 +15,11 @@ def is_read(line: str) -> bool:
 
 
 def find_separator(line: str) -> str | None:
-    """Return the separator between the cells of a line: comma, semicolon or tab, or None if blanks separate them."""
+    """Return the separator between the cells of a line: semicolon, tab, comma or bar; None if blanks separate."""
     line = re.sub(r'"[^"]*"', '""', line)
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
-    return next((mark for mark in (";", "\t", ",") if mark in line), None)
+    return next((mark for mark in ";\t,|" if mark in line), None)
 
 
 def split_cells(line: str, separator: str | None) -> list[str]:
@@ -60,7 +60,7 @@ def decimal_point(text: str, separator: str | None) -> str:
         raise ValueError(f"points and commas in one table, {beside}: {wrong}; {advice} and with one decimal mark")
     for mark in marks:
         sure = rf"(?<![\d.,])0+[{mark}]|(?<!\d)[{mark}]|\d{{4}}[{mark}]|[{mark}](?!\d{{3}}(?![\deE]))"
-        if cell is not None and (mark == "," or separator in (";", "\t")) and not re.search(sure, text):
+        if cell is not None and (mark == "," or separator in (";", "\t", "|")) and not re.search(sure, text):
             raise ValueError(
                 f"the number {cell[0]!r} may be decimal or have a thousands mark; {advice}, or more decimals"
             )

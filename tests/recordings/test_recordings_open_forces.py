@@ -47,6 +47,7 @@ CSV = {
     "blanks": "time (s) normal (N)  tangential[N] trigger (V)\n" + rows(" "),
     "comments between the samples": HEADING + rows().replace("\n", "\n\n   \n# paused\n", 3) + "// the end\n",
     "milliseconds": "Time [ms],normal (N),tangential [N],trigger (V)\n" + rows(scale=1000),
+    "bars": "t (s)|normal (N)|tangential (N)|trigger (V)\n" + rows("|"),
     "line of units": "t;normal;tangential;trigger\ns;N;N;V\n" + rows(";"),
     "separator at the end": HEADING.replace("\n", ",\n") + rows(end=","),
     "carriage returns": (HEADING + rows()).replace("\n", "\r\n"),

@@ -42,6 +42,7 @@ REFUSED = {
     "time of day": (HEADING + "12:00:00.001,1\n12:00:00.002,1\n", "'12:00:00.001', a date or time of day"),
     "footer": (HEADING + LINES + "End of file\n", "'End of file' has 1 cells"),
     "empty": ("time (s),Fz (N),temp (V)\n0,1,2\n1,1,\n", "'temp' is empty"),
+    "Fortran": (HEADING + "0,1.0D-03\n1,1\n", "'1.0D-03', a number of Fortran; write its exponent with E"),
     "no number": (HEADING + "0,1\n1,#N/A\n", "'Fz' is '#N/A'"),
     "path": ("recording,answer\np01/0um/a.npy,1\n", "'p01/0um/a.npy', no number"),
     "binary": (HEADING + "0,1\n\0,1\n", "is binary"),

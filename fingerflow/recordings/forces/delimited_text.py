@@ -21,8 +21,8 @@ def read_table(path: Path) -> ForceTable:
 
     The heading is the first line that is neither a comment nor part of the preamble, or the comment just above the
     numbers if it has as many cells; a line of units may follow. Its separator is a semicolon, else a tab, else a comma,
-    else blanks; a comma that does not separate is a decimal comma. Cells may be quoted. Without a heading the columns
-    are column_1, column_2, ...
+    else a bar, else blanks; a comma that does not separate is a decimal comma. Cells may be quoted. Without a heading
+    the columns are column_1, column_2, ...
 
     Raises FingerflowError for numbers that may have thousands marks, and for anything besides numbers, with the line.
     """
@@ -81,8 +81,9 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
     """Return the numbers (lines, columns) of a table, given the text below its heading; raise ValueError unless every
     line has `columns` numbers.
     """
-    if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
-        body = re.sub(rf"{separator}+[ ]*$", "", body, flags=re.MULTILINE)
+    mark = re.escape(separator or "")
+    if mark and re.search(rf"{mark}\s*$", body.partition("\n")[0]):
+        body = re.sub(rf"(?:{mark})+[ ]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
     if numbers.shape[1] != columns:
         raise ValueError(f"{numbers.shape[1]} cells a line")
@@ -104,14 +105,12 @@ def _fault(body: str, separator: str | None, names: list[str]) -> str:
         if wrong is not None:
             name, cell = wrong
             if re.match(r"\d+[:/-]\d", cell):
-                return (
-                    f"column {name!r} has {cell!r}, a date or time of day; export the time in seconds, or leave the "
-                    "column out and give the sample_rate"
-                )
-            return (
-                f"column {name!r} is {repr(cell) + ', no number,' if cell else 'empty'} in {line.strip()!r}; write nan "
-                "there, or leave the column or the line out"
-            )
+                remedy = "export the time in seconds, or leave the column out and give the sample_rate"
+                return f"column {name!r} has {cell!r}, a date or time of day; {remedy}"
+            if re.fullmatch(r"[-+.\d]+[dD][-+]?\d+", cell):
+                return f"column {name!r} has {cell!r}, a number of Fortran; write its exponent with E"
+            shown, remedy = f"{cell!r}, no number," if cell else "empty", "leave the column or the line out"
+            return f"column {name!r} is {shown} in {line.strip()!r}; write nan there, or {remedy}"
     return ""
 
 

@@ -102,7 +102,7 @@ class Forces:
         if not ((targets >= first) & (targets <= last)).any():
             raise FingerflowError(
                 f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {targets.min():g} to "
-                f"{targets.max():g} s: no frame is covered. Align both to the trigger first."
+                f"{targets.max():g} s: no frame is covered. Count both from one instant, or give [forces] trigger"
             )
         within = int(np.sum((self.times >= targets.min()) & (self.times <= targets.max())))
         lasts, span = float(np.ptp(self.times)), float(np.ptp(targets))
