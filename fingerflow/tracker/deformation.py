@@ -202,8 +202,11 @@ class Deformation:
         of_fields = of_smoothing[latest] * growth[:, None, None] + since.late
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
-        divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])
-        curl_std = np.sqrt(fields.curl_std**2 + of_fields[:, 1])
+        # Of skin that stuck before it slips: errors by curvature have opposite signs on both sides of an edge of slip,
+        # so that they add up in a gradient.
+        opposed = 1 + (since.onset[..., 0, 0] == 0) * since.curvature / np.maximum(noise, 1e-30)
+        divergence_std = np.sqrt(fields.divergence_std**2 * opposed + of_fields[:, 0])
+        curl_std = np.sqrt(fields.curl_std**2 * opposed + of_fields[:, 1])
         assert fields.median_std is not None
         variance = np.square(fields.median_std) + ranks
         return fields._replace(divergence_std=divergence_std, curl_std=curl_std), variance, np.array(course)[latest]
