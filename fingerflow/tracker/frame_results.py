@@ -72,8 +72,7 @@ class FrameResults:
         self._gross = self._faint_mm = 0.0  # of the largest contact so far
         self._sizes: Sizes  # of the contact in the present frames
         self._entered = np.zeros((0, 0), dtype=bool)  # which points have entered, in each of them
-        self._touches, self._inherited = Touches(0), np.zeros(0)
-        self._lifted = False  # whether there was no contact in the latest frame
+        self._lifted, self._touches, self._inherited = False, Touches(0), np.zeros(0)
 
     def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints, pull: Array) -> dict[str, Array]:
         """Compute the results of the next n frames, as arrays (n, ...) by the names in `RESULTS`, from their contact,
@@ -109,9 +108,8 @@ class FrameResults:
         now = self._deformation.step(skin, self)
         fields, median, median_std = now.fields, now.fields.median, np.sqrt(now.variance + now.bias)
         # Skin that was in contact when it was seeded lies in the middle, where fields are largest.
-        inside = np.add.reduce(covered & np.isnan(self._inherited), 1)
-        median[inside > (1 - LEAST_SHARE) * np.add.reduce(covered, 1)] = np.nan
-        median_std[np.isnan(median)] = np.nan
+        hollow = np.add.reduce(covered & np.isnan(self._inherited), 1) > (1 - LEAST_SHARE) * np.add.reduce(covered, 1)
+        median[hollow] = median_std[hollow] = np.nan
         length, length_std = displacement_length(now.vector, now.vector_std)
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
@@ -140,9 +138,8 @@ class FrameResults:
         """
         if self._engine.fixed or np.isnan(self._deformation.latest[0]) or np.isnan(self._inherited).any():
             return 1
-        landing = touched[1:] > touched[:-1]
-        if np.logical_or.reduce(landing):
-            covered = covered[: 1 + int(landing.argmax())]
+        landing = (touched[1:] > touched[:-1]).nonzero()[0]
+        covered = covered[: landing[0] + 1] if len(landing) else covered
         before = np.logical_or.accumulate(covered[:-2])
         again = before & (covered[1:-1] < covered[2:]) & (self._touches.length < LASTING)
         frames = np.logical_or.reduce(again, 1)
@@ -160,14 +157,14 @@ class FrameResults:
             self.slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
             rows, moved = covered.nonzero()[0], self._geometry.on_glass(before) - self._touches.position[: len(before)]
-            inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
+            new = seeding.points[rows], 1, gauge_mm / self._per_px
+            inherited, self._inherited[rows] = interpolate_displacement(before, moved, *new)
             # Neighbours share the errors of what they have inherited themselves: these do not show in their scatter.
-            shared, _ = interpolate_displacement(before, 0 * moved + earlier[:, None], seeding.points[rows], 1)
+            shared, _ = interpolate_displacement(before, 0 * moved + earlier[:, None], *new)
             self._inherited[rows] += shared[:, 0]
             touches.replace(rows, positions[rows] - inherited)
-        self._touches = touches
+        self._touches, self._deformation = touches, Deformation(self._engine, positions)
         self.entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)
-        self._deformation = Deformation(self._engine, positions)
         # Noise counts alike for all points, and their onsets are not known yet.
         alike = np.zeros(count, int), seeding.points, np.ones(count), np.zeros((count, 2, 2))
         errors = OverlapErrors(*alike, by_onsets=True, window_px=self._engine.settings.window_px)

@@ -132,9 +132,12 @@ class Touches:
         return Touching(start_position, share, spread, earlier, touching, begins)
 
 
-def interpolate_displacement(before: Array, moved: Array, points: Array, fewest: int) -> tuple[Array, Array]:
+def interpolate_displacement(
+    before: Array, moved: Array, points: Array, fewest: int, reach: float = np.inf
+) -> tuple[Array, Array]:
     """Return the displacements (N, 2) of newly seeded points, interpolated from those of the nearest previous points,
-    and the variance (N,) of a component among these; NaN if fewer than `fewest` previous points are known.
+    and the variance (N,) of a component among these; NaN if fewer than `fewest` previous points are known, or none
+    within `reach` px.
 
     Args:
         before: (M, 2) px, previous points in the frame of the seeding, NaN where lost.
@@ -146,6 +149,7 @@ def interpolate_displacement(before: Array, moved: Array, points: Array, fewest:
     if known.sum() >= max(fewest, _NEAREST):
         distance = squared_distances(points[new], before[known])
         nearest = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
+        distance[distance.min(1) > reach**2] = np.nan
         weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
         values, total = moved[known][nearest], weight.sum(1)
         displacement[new] = (weight * values).sum(1) / total

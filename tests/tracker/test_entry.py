@@ -100,3 +100,5 @@ def test_the_variance_of_inherited_displacements_adds_up(make_engine: Callable[[
         results._begin(Seeding(points, before), covered)
     error = 0.02 * seeded[-1] - results._touches.position - wave[-1]
     assert 0.5 < np.square(error).mean() / results._inherited.mean() < 2
+    results._begin(Seeding(seeded[0] + [600, 0], seeded[-1]), covered)  # 4 mm from all points that are known
+    assert np.isnan(results._inherited).all()
