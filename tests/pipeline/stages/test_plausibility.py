@@ -24,7 +24,7 @@ def test_what_is_plausible_says_nothing() -> None:
     force, gross, nothing = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40), np.full(40, np.nan)
     messages = [plausibility.check_areas(areas, 2 * areas, 8, 0), plausibility.check_growth(force, force**0.1)]
     messages += [plausibility.check_areas(nothing, nothing, 8, 0), plausibility.check_onset(force, nothing, 0)]
-    messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
+    messages += [area_steps.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
     messages += [plausibility.check_background(0.004, 0.88, 0), plausibility.check_views("", 0.0, 0.03)]
     messages += [plausibility.check_seeded_region(0.04), plausibility.check_gauge(1.6, 7.4)]
     messages.append(plausibility.check_growth(force[8:16], np.full(8, gross[8])))  # of few frames none is the end
@@ -94,7 +94,7 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     assert "steps from 29.4 to 50.6 mm² between frames 34 and 35, 21 times as far" in said
     # If the force has the same step, the step is real.
     assert not [*area_steps.check_missing_frames(cut, cut / 16, 5)]
-    (said,) = plausibility.check_beginning(gross[10:], 10)
+    (said,) = area_steps.check_beginning(gross[10:], 10)
     assert "20.5 of 80 mm² touch in frame 10" in said
 
 

@@ -29,8 +29,6 @@ _SAFE = 1.5  # factor on the area expected by that law, above which a warning is
 # Least ratio by which the force rises over the last tenth of the frames; least d ln(area) / d ln(force), 0.1 to 2/3 for
 # skin.
 _RISES, _FOLLOWS = 1.1, 0.05
-# Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
-_STARTS, _GROWS = 0.02, 1.1
 _GROWN = 0.9  # share of the largest area at which a contact has grown
 _STEPS = 4  # least frames in which a contact grows to 0.9 of its area: in 3, medians err by five deviations
 # Least number and share of samples at the limit of a saturated force sensor, least ratio to the samples at the next
@@ -209,20 +207,6 @@ def check_growth(normal: Series, gross: Series) -> Iterator[str]:
             f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
             f"({larger:.3g} mm²): the force is of an earlier moment, or the contact fills the view. Check "
             f"recording.frame_rate and trigger_frame, and [views.contact]"
-        )
-
-
-def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
-    """Yield a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
-    measured = np.flatnonzero(np.isfinite(gross))
-    if not len(measured):
-        return
-    first, largest = gross[measured[0]], gross[measured].max()
-    if first > _STARTS * largest and largest > _GROWS * first:
-        yield (
-            f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
-            f"{measured[0] + first_frame}, and displacement there lacks what came before: "
-            f"{'lower recording.first_frame, ' if first_frame else ''}record earlier, or give fields.reference"
         )
 
 
