@@ -93,6 +93,8 @@ MISTAKES = (
         _topography(lambda view: view[:, ::-1])),
     Mistake("camera turns by 0.08 degrees RMS", {}, "median_curl", "the whole image vibrates",
         lambda frames: {"frames": turned(frames, 0.113)}),
+    Mistake("camera turns by 0.3 degrees in 8 frames, and back", {}, "median_curl", "12 frames a period, most remains",
+        lambda frames: {"frames": turned(frames, 0.3, 8)}),
     Mistake("topography frozen", {}, "median_curl", "repeats its picture",
         _topography(lambda view: view[:1].repeat(len(view), 0))),
     Mistake("topography saturated", {}, "median_curl", "topography view is saturated",
