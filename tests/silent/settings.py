@@ -78,6 +78,8 @@ MISTAKES = (
     Mistake("gain of 10 left out", {}, "normal_force", "is a mean pressure of", forces=10.0),
     Mistake("N taken for mN", {UNITS: 'units = "mN"'}, "normal_force", "is a mean pressure of"),
     Mistake("gain 2.5 of a force in N", {"[forces]": "[forces]\ngain = 2.5"}, "normal_force", "is in N already"),
+    Mistake("columns of the forces exchanged", {'normal = "normal_force"': 'normal = "tangential_force"',
+        'tangential = "tangential_force"': 'tangential = "normal_force"'}, "normal_force", "times the normal one"),
     Mistake("scale halved", {SCALE: "mm_per_px = 0.01625"}, "gross_contact_area", "the scale is wrong"),
     Mistake("scale doubled, a diameter taken for the radius", {SCALE: "mm_per_px = 0.065"}, "gross_contact_area",
         "the scale is wrong"),

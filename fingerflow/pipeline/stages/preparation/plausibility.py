@@ -21,6 +21,11 @@ LEAST_NORMAL = 0.05  # N, least normal force for T/N: ten times the noise of a s
 _MOST_FORCE = 100.0  # N, peak normal force of one finger: maximal pinch forces are 50 to 100 N
 _PRESSURE_KPA = (1.0, 300.0)  # kPa, normal force over gross area at the peak: 5 to 100 kPa at 0.1 to 20 N
 _YOUNG_MPA = (0.005, 20.0)  # MPa, Young's modulus: skin and pulp in vivo have 0.01 to 3 MPa, gels from 0.005 MPa
+# Most tangential over normal force where a finger presses: friction coefficients of wet fingertips reach 5.
+_MOST_LOAD_RATIO = 10.0
+# Least distance of a single sample from both neighbours, in N, as a share of the range of the force and in multiples of
+# the mean one, above which it is none of a finger.
+_SPIKE_N, _SPIKE_SHARE, _SPIKE_NOISE = 0.2, 0.25, 20
 # Largest force of a sensor where nothing touches, in N and as a share of the peak force.
 _FORCE_OF_NOTHING = (0.05, 0.01)
 _NOISE = 0.005  # N, noise of a force at the frame rate
@@ -144,6 +149,32 @@ def check_saturation(force: Series, name: str) -> Iterator[str]:
                 f"{many} of {size.size} samples of the {name.replace('_', ' ')} are {largest:.4g} N, none is larger: "
                 "the sensor or its amplifier is saturated, and the true force larger. Raise its range, or press less"
             )
+
+
+def check_spikes(force: Series, name: str) -> Iterator[str]:
+    """Yield a warning if single samples of a force in N lie far from both neighbours, as a disturbance of the cable
+    leaves them.
+    """
+    force = force[np.isfinite(force)]
+    middle = np.median(np.stack((force[:-2], force[1:-1], force[2:])), axis=0)
+    away = np.abs(force[1:-1] - middle)
+    if away.size and away.max() > max(_SPIKE_N, _SPIKE_SHARE * np.ptp(middle), _SPIKE_NOISE * away.mean()):
+        yield (
+            f"a single sample of the {name.replace('_', ' ')} lies {away.max():.3g} N from both beside it: no finger "
+            "does that, and the force is wrong in the frames around it. Check cable and ground, and remove the sample"
+        )
+
+
+def check_load_ratio(ratio: Series, normal: Series) -> Iterator[str]:
+    """Yield a warning if tangential over normal force is larger than friction allows where the normal force (frames,)
+    is above half of its largest.
+    """
+    pressed = ratio[normal > max(LEAST_NORMAL, np.fmax.reduce(normal) / 2)]
+    if len(pressed) and (most := float(np.median(np.abs(pressed)))) > _MOST_LOAD_RATIO:
+        yield (
+            f"the tangential force is {most:.3g} times the normal one, and skin slips before {_MOST_LOAD_RATIO:g}: are "
+            "both in one unit, and the columns not exchanged? Check [forces] normal, tangential, units and gain"
+        )
 
 
 def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
