@@ -49,9 +49,9 @@ class CameraClock:
         self._unit = 1.0  # s, unit of the stamps; NaN if they are refused
         # Stamp, time and arrival of the last frame; stamp and arrival of the frame before stamps began to run ahead.
         self._last = self._time = self._arrival = math.nan
-        self._zero, self._skips = math.nan, False  # s, stamp at time 0; whether the last stamp was unusable
         self._ahead: tuple[float, float] | None = None
-        self._jumps, self._began = 0, math.nan
+        # Stamp at time 0, s, and whether the last stamp was unusable.
+        self._jumps, self._began, self._zero, self._skips = 0, math.nan, math.nan, False
         # s, least offset between arrival and stamp in the present window, and in the window before.
         self._least = self._before = math.inf
         # s, offset at the begin of the present window; share of the window before by which stamps fell behind.

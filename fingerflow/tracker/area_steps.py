@@ -57,9 +57,7 @@ def check_missing_frames(gross: Series, normal: Series | None, first_frame: int)
 def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
     """Yield a warning if a recording, or a stream, begins when the finger already touches the glass."""
     measured = np.flatnonzero(np.isfinite(gross))
-    if not len(measured):
-        return
-    first, largest = gross[measured[0]], gross[measured].max()
+    first, largest = (gross[measured[0]], gross[measured].max()) if len(measured) else (0, 0)
     if first > _STARTS * largest and largest > _GROWS * first:
         yield (
             f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
