@@ -48,12 +48,12 @@ TRIALS: dict[str, Press | Slide] = {
 }
 
 
-def turned(frames: Array, degrees: float) -> Array:
-    """Return frames (F, H, W) of a camera that turns to and fro, by `degrees` at most."""
+def turned(frames: Array, degrees: float, half_period: int = 3) -> Array:
+    """Return frames (F, H, W) of a camera that turns to and fro, by `degrees` at most, once in two half periods."""
     result = np.empty_like(frames)
     for k, frame in enumerate(frames):
         rows, columns = frame.shape
-        matrix = cv2.getRotationMatrix2D((columns / 2, rows / 2), degrees * np.sin(k * np.pi / 3), 1)
+        matrix = cv2.getRotationMatrix2D((columns / 2, rows / 2), degrees * np.sin(k * np.pi / half_period), 1)
         cv2.warpAffine(frame, matrix, (columns, rows), result[k], cv2.INTER_CUBIC, cv2.BORDER_REPLICATE)
     return result
 

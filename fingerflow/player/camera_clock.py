@@ -11,6 +11,7 @@ EPOCH = time.time() - time.perf_counter()
 _MOST_AHEAD = 0.25  # s by which a stamp may advance more than arrivals do: frames that waited arrive together
 _MOST_JUMPS = 3  # frames in a row in which stamps run ahead before their unit is found
 _LEAST_PASSED = 0.1  # s, the same
+_NEAR = 0.05  # s from the arrivals, within which stamps behind unusable ones go on as before
 _UNITS = (1e-3, 1e-6, 1e-9, 60.0, 3600.0, 86400.0)  # s: what stamps count besides seconds
 _LEAST = 1e-9  # s between two frames that arrive at once
 _WINDOW = 5.0  # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it
@@ -36,7 +37,8 @@ class CameraClock:
     do so from frame to frame, they count ms, us or ns and are converted, or are refused; as are those that hardly
     advance within 5 s, which may count minutes, hours or days, and those whose rate differs by over 5 % from that of
     arrivals in two windows of 5 s in a row. Where they run ahead once, or where a stamp is missing or not after the one
-    before, time advances by arrivals over that interval. So it never runs backwards.
+    before, time advances by arrivals over that interval, and the next stamps count as before where they agree with it:
+    stamps that repeat do not add up. So it never runs backwards.
 
     Attributes:
         has_stamps: whether the last frame had a usable time stamp of its camera.
@@ -48,7 +50,8 @@ class CameraClock:
         # Stamp, time and arrival of the last frame; stamp and arrival of the frame before stamps began to run ahead.
         self._last = self._time = self._arrival = math.nan
         self._ahead: tuple[float, float] | None = None
-        self._jumps, self._began = 0, math.nan
+        # Stamp at time 0, s, and whether the last stamp was unusable.
+        self._jumps, self._began, self._zero, self._skips = 0, math.nan, math.nan, False
         # s, least offset between arrival and stamp in the present window, and in the window before.
         self._least = self._before = math.inf
         # s, offset at the begin of the present window; share of the window before by which stamps fell behind.
@@ -69,8 +72,13 @@ class CameraClock:
             self._compare(stamp, arrival)
         elif usable:
             self._ahead = None
-        self._time = arrival if math.isnan(self._arrival) else self._time + (step if usable else max(passed, _LEAST))
-        self._last, self._arrival = stamp, arrival
+        by_arrival = arrival if math.isnan(self._arrival) else self._time + max(passed, _LEAST)
+        if usable and self._skips and not abs(stamp - self._zero - by_arrival) < _NEAR:
+            self._zero = stamp - self._time - step
+        elif math.isnan(self._zero):
+            self._zero = stamp - by_arrival
+        self._time = max(stamp - self._zero, self._time + _LEAST) if usable else by_arrival
+        self._last, self._arrival, self._skips = stamp, arrival, not usable
         if not usable:
             self._least = self._offset = arrival - stamp
             self._before, self._began, self._behind = math.inf, arrival, 0.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
-from fingerflow.tracker.area_steps import check_light_steps, check_missing_frames
+from fingerflow.tracker.area_steps import check_beginning, check_light_steps, check_missing_frames
 
 _WIDE_MM2 = 8.0  # mm², twice a usual gauge length in diameter; a smaller contact may lack a median divergence
 _AREAS = 4096  # number of latest frames whose areas are kept
@@ -59,8 +59,8 @@ class Findings:
                 self._unknown += 1
 
     def area_steps(self, view_area: float, slides: bool) -> Iterator[str]:
-        """Yield warnings of steps of the gross area among the latest frames, as `process` gives them, from the area of
-        the view, mm^2, and whether skin slides. Safe in any thread.
+        """Yield warnings of steps of the gross area among the latest frames, and of a stream that begins in contact, as
+        `process` gives them, from the area of the view, mm^2, and whether skin slides. Safe in any thread.
         """
         areas = dict([*self._areas])
         first = max(areas, default=0) - _AREAS
@@ -68,6 +68,7 @@ class Findings:
         yield from check_light_steps(gross, view_area, first)
         if not slides:
             yield from check_missing_frames(gross, None, first)
+            yield from check_beginning(gross, first) if first < 0 else ()
 
     def missing(self, threshold_known: bool) -> list[str]:
         """Return a warning sentence for each kind of result that was found in no frame of the stream; `threshold_known`

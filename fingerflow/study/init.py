@@ -86,7 +86,8 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
     lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
     lacking += [f"[scene] in {manifest.name}"] if not scenes else []
-    lacking += [f"{matched}{answered.count({})} of {len(rows)} trials have no answer"] if {} in answered else []
+    unanswered = f"{matched}{answered.count({})} of {len(rows)} trials have no answer"
+    lacking += [unanswered] if {} in answered or ", not: " in matched else []
     return len(rows), lacking
 
 

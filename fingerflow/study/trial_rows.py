@@ -9,7 +9,7 @@ from fingerflow.recordings.delimited import decimal_point, find_separator
 from fingerflow.schema.text_file import read_text
 from fingerflow.study.spreadsheet_cell import plain_cell
 
-ANSWERS = {"1": True, "true": True, "0": False, "false": False}
+ANSWERS = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
 NOTHING = ("", "nan", "na")  # contents of a cell without a value
 
 

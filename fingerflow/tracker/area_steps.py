@@ -13,6 +13,8 @@ from fingerflow.kernels.array_types import Numbers, Series
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.onset import LASTING
 
+# Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
+_STARTS, _GROWS = 0.02, 1.1
 # Change of the contact area between successive frames, as a share of the view's area, that no contact reaches.
 _JUMP = 0.25
 # Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
@@ -49,6 +51,18 @@ def check_missing_frames(gross: Series, normal: Series | None, first_frame: int)
             f"be missing there, and all times after it be wrong, or a second contact merges with the first. Copy the "
             f"recording again, give one whose file has time stamps, or leave the other contact out by "
             f"views.contact.region"
+        )
+
+
+def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
+    """Yield a warning if a recording, or a stream, begins when the finger already touches the glass."""
+    measured = np.flatnonzero(np.isfinite(gross))
+    first, largest = (gross[measured[0]], gross[measured].max()) if len(measured) else (0, 0)
+    if first > _STARTS * largest and largest > _GROWS * first:
+        yield (
+            f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
+            f"{measured[0] + first_frame}, and displacement there lacks what came before: begin earlier "
+            "(recording.first_frame), or process it with fields.reference"
         )
 
 

@@ -79,8 +79,8 @@ def vibration(
     motion[:, 0] -= motion[:, 1] * np.nan_to_num(centre)
     warning = (
         f"the whole image vibrates, by {np.hypot(*rms[:2]) / mm_per_px:.2g} px, {np.degrees(rms[3] / radius):.2g} "
-        f"degrees and {rms[2] / radius:.2%} of its size RMS: {counted}. Check what shakes the camera: a fan, a motor, "
-        f"a loose mount"
+        f"degrees and {rms[2] / radius:.2%} of its size RMS: {counted}. Of slower motion, over {_WINDOW} frames a "
+        f"period, most remains in all. Check what shakes the camera: a fan, a motor, a loose mount"
     )
     return motion, [warning] * bool(rms.any())
 

@@ -166,17 +166,20 @@ def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys:
 
 
 def test_steps_of_the_area_are_said(small: Small, caplog: pytest.LogCaptureFixture) -> None:
-    """A stream warns of missing frames, and of light that falls to half and stays there, as a recording does."""
+    """A stream warns of missing frames, of light that falls to half and stays there, and of a contact that is there
+    when it begins, as a recording does.
+    """
     dim = small.frames.copy()
     dim[60:, :, small_trials.WIDTH :] //= 2
     for frames, words in (
         (small.frames, ""),
         (np.delete(small.frames, np.s_[30:45], 0), "frames may be missing"),
         (dim, "light has changed"),
+        (small.frames[40:], "begins in contact"),
     ):
         caplog.clear()
         small.play(frames)
-        steps = [line for line in caplog.messages if "the gross contact area" in line]
+        steps = [line for line in caplog.messages if "the gross contact area" in line or "in contact:" in line]
         assert words in str(steps)
         assert bool(steps) == bool(words)
 

@@ -56,6 +56,8 @@ _EVEN = 100 + np.arange(60) / 100  # s
         (np.where(np.arange(60) % 7 == 3, np.inf, _EVEN), None),
         (np.where(np.arange(60) % 2 == 0, -np.inf, _EVEN), None),
         (np.full(60, 5.0), None),
+        (np.floor(20 * _EVEN) / 20, None),  # of 0.05 s, so that most repeat
+        (_EVEN - 0.011 * (np.arange(60) % 5 == 4), None),  # back by 1 ms
     ],
 )
 def test_time_never_runs_backwards_or_away_from_arrivals(

@@ -130,7 +130,11 @@ def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: s
 def test_recordings_without_scenes(lab: Path) -> None:
     for scene in lab.rglob("scene.toml"):
         scene.unlink()
-    assert init_study(lab, lab / "answers.csv") == (6, ["[scene] in study.toml"])
+    with (lab / "answers.csv").open("a") as answers:
+        answers.write("07,9,0,1\n")
+    count, (lacking, strays) = init_study(lab, lab / "answers.csv")
+    assert (count, lacking) == (6, "[scene] in study.toml")
+    assert strays.startswith("answers.csv: 6 of 7 rows belong to trials, not: participant 07 trial 9 condition 0; 0 of")
     manifest = load_manifest(lab)
     assert manifest.trials[0].settings["forces"] == {"file": "p01/0um/trial1/forces.csv"}
     assert {entry.condition for entry in manifest.trials} == {"0", "2"}
@@ -175,7 +179,7 @@ _TRIALS = "recording,participant,trial,condition,answer\n" + "".join(
 )
 ANSWERS = {
     "leading zeros": ("1212", "participant,trial,answer\n1,1,1\n1,2,0\n2,1,0\n2,2,1\n", [True, False, False, True]),
-    "decimals": ("1212", "participant,trial,answer\n1.0,1e0,1\n\uff11.0,+2.0,0\n", [True, False, None, None]),
+    "decimals": ("1212", "participant,trial,answer\n1.0,1e0,1.0\n\uff11.0,+2.0,0.0\n", [True, False, None, None]),
     "semicolons": ("1212", "participant;trial;condition;answer\n1;1;0,0;1\n1;2;2,0;0\n", [True, False, None, None]),
     "each condition": ("1111", "participant,trial,condition,answer\n01,1,0,0\n01,1,2,1\n", [False, True, None, None]),
     "strays": ("1212", "participant,trial,answer\n1,1,1\n9,1,0\n9,2,0\n", [True, None, None, None]),

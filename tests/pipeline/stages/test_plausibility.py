@@ -24,7 +24,7 @@ def test_what_is_plausible_says_nothing() -> None:
     force, gross, nothing = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40), np.full(40, np.nan)
     messages = [plausibility.check_areas(areas, 2 * areas, 8, 0), plausibility.check_growth(force, force**0.1)]
     messages += [plausibility.check_areas(nothing, nothing, 8, 0), plausibility.check_onset(force, nothing, 0)]
-    messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
+    messages += [area_steps.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
     messages += [plausibility.check_background(0.004, 0.88, 0), plausibility.check_views("", 0.0, 0.03)]
     messages += [plausibility.check_seeded_region(0.04), plausibility.check_gauge(1.6, 7.4)]
     messages.append(plausibility.check_growth(force[8:16], np.full(8, gross[8])))  # of few frames none is the end
@@ -41,7 +41,9 @@ def test_what_is_plausible_says_nothing() -> None:
     messages += [area_steps.second_touches(area).tolist() for area in (gross, chatter, nothing, nothing[:1])]
     messages += [plausibility.check_growth_time(area) for area in (gross, gross[9:], chatter, nothing)]
     noisy = np.round(np.minimum(np.arange(4000) / 800, 3) + np.random.default_rng(0).normal(0, 0.005, 4000), 3)
-    messages += [plausibility.check_saturation(one, "normal_force") for one in (noisy, np.minimum(force, 3), nothing)]
+    for one in (noisy, np.minimum(force, 3), nothing, nothing[:1], 0.5 * np.sin(np.arange(400) / 8)):
+        messages += [plausibility.check_saturation(one, "normal_force"), plausibility.check_spikes(one, "normal_force")]
+    messages += [plausibility.check_load_ratio(np.full(40, ratio), force) for ratio in (0, -5.0, np.nan)]
     assert not any(map(list, messages))
 
 
@@ -89,12 +91,16 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     assert "the normal force is 0.27 N in frame 100, where nothing touches (in 1 frames)" in said
     (said,) = plausibility.check_growth(force, np.minimum(gross, 60))
     assert "and the contact no longer grows (60 mm²)" in said
+    (said,) = plausibility.check_spikes(np.where(np.arange(40) == 20, -50, force), "normal_force")
+    assert "a single sample of the normal force lies 51.2 N from both beside it" in said
+    (said,) = plausibility.check_load_ratio(np.full(40, -30.0), force)
+    assert "the tangential force is 30 times the normal one" in said
     cut = np.delete(np.linspace(0, 80, 80), np.s_[30:50])
     (said,) = area_steps.check_missing_frames(cut, None, 5)
     assert "steps from 29.4 to 50.6 mm² between frames 34 and 35, 21 times as far" in said
     # If the force has the same step, the step is real.
     assert not [*area_steps.check_missing_frames(cut, cut / 16, 5)]
-    (said,) = plausibility.check_beginning(gross[10:], 10)
+    (said,) = area_steps.check_beginning(gross[10:], 10)
     assert "20.5 of 80 mm² touch in frame 10" in said
 
 

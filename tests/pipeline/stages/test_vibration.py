@@ -11,7 +11,7 @@ from fingerflow import process
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.vibration import steady, vibration
 from tests.silent.case import played
-from tests.small_trials import scene_beside, turned, warnings_of
+from tests.small_trials import scene_beside, turned, warnings_of, write_small_slip
 
 FRAMES, POINTS, PX = 90, 120, 0.03  # PX: mm
 SHAKEN = 0.3 * PX * np.stack((np.sin(np.arange(FRAMES) * np.pi / 3), np.cos(np.arange(FRAMES) * np.pi / 3)), axis=1)
@@ -69,3 +69,14 @@ def test_vibration_adds_no_energy(turns: bool, trials: Path, tmp_path: Path, mon
     assert np.nanmean(np.abs(seen[1] - seen[0])) < 0.1 * PX
     off = np.abs(moved["strain_energy"] - still["strain_energy"]).values
     assert (off <= 3 * np.hypot(moved["strain_energy_std"], still["strain_energy_std"]).values + 1e-5).all()
+
+
+def test_vibration_of_a_slip_is_named(tmp_path: Path) -> None:
+    """A shake of 0.7 px RMS makes skin slip that sticks: a warning says so, and none where nothing shakes."""
+    folder = write_small_slip(tmp_path / "slip")
+    still = process(folder / "scene.toml", "stuck_ratio")
+    frames = np.load(folder / "frames.npy")
+    shaken = np.stack([np.roll(frame, round(np.sin(k * np.pi / 3)), 0) for k, frame in enumerate(frames)])
+    moved = process(scene_beside(folder, tmp_path, frames=shaken), "stuck_ratio")
+    assert "skin that sticks is taken to slip" in warnings_of(moved)
+    assert "vibrates" not in warnings_of(still)

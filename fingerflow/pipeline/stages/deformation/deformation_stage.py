@@ -19,7 +19,7 @@ from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
-from fingerflow.tracker.area_steps import second_touches
+from fingerflow.tracker.area_steps import check_beginning, second_touches
 from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import onset_errors
@@ -129,7 +129,7 @@ class DeformationStage(Stage):
                     f"recording.first_frame and last_frame"
                 )
             if pressed:
-                self.warnings += plausibility.check_beginning(gross, self.first_frame)
+                self.warnings += check_beginning(gross, self.first_frame)
                 self.warnings += plausibility.check_growth_time(gross)
             motion = self.onset, self.reference, self._settings.gauge_length_mm, self._onset_border
             moves_in = advected(self.steady_position, self.common_position, *motion)

@@ -58,6 +58,7 @@ class LoadingStage(Stage):
         self._check(settings.file, forces, names["normal_force"], values["normal_force"])
         for name, column in names.items():
             self.warnings += plausibility.check_saturation(forces.channels[name], name)
+            self.warnings += plausibility.check_spikes(forces.channels[name], name)
             if unknown := int(np.isnan(forces.channels[name]).sum()):
                 self.warnings.append(
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
@@ -74,6 +75,7 @@ class LoadingStage(Stage):
             tangential, pressed = np.hypot(x, y) if len(components) == 2 else x, normal > plausibility.LEAST_NORMAL
             direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
             ratio = np.where(pressed, tangential / np.where(pressed, normal, 1), np.nan)
+            self.warnings += plausibility.check_load_ratio(ratio, normal)
             self.series |= {"tangential_force": tangential, "tangential_direction": direction}
             self.series |= {"load_ratio": ratio, "force_angle": np.arctan(ratio)}
 

@@ -21,6 +21,11 @@ LEAST_NORMAL = 0.05  # N, least normal force for T/N: ten times the noise of a s
 _MOST_FORCE = 100.0  # N, peak normal force of one finger: maximal pinch forces are 50 to 100 N
 _PRESSURE_KPA = (1.0, 300.0)  # kPa, normal force over gross area at the peak: 5 to 100 kPa at 0.1 to 20 N
 _YOUNG_MPA = (0.005, 20.0)  # MPa, Young's modulus: skin and pulp in vivo have 0.01 to 3 MPa, gels from 0.005 MPa
+# Most tangential over normal force where a finger presses: friction coefficients of wet fingertips reach 5.
+_MOST_LOAD_RATIO = 10.0
+# Least distance of a single sample from both neighbours, in N, as a share of the range of the force and in multiples of
+# the mean one, above which it is none of a finger.
+_SPIKE_N, _SPIKE_SHARE, _SPIKE_NOISE = 0.2, 0.25, 20
 # Largest force of a sensor where nothing touches, in N and as a share of the peak force.
 _FORCE_OF_NOTHING = (0.05, 0.01)
 _NOISE = 0.005  # N, noise of a force at the frame rate
@@ -29,8 +34,6 @@ _SAFE = 1.5  # factor on the area expected by that law, above which a warning is
 # Least ratio by which the force rises over the last tenth of the frames; least d ln(area) / d ln(force), 0.1 to 2/3 for
 # skin.
 _RISES, _FOLLOWS = 1.1, 0.05
-# Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
-_STARTS, _GROWS = 0.02, 1.1
 _GROWN = 0.9  # share of the largest area at which a contact has grown
 _STEPS = 4  # least frames in which a contact grows to 0.9 of its area: in 3, medians err by five deviations
 # Least number and share of samples at the limit of a saturated force sensor, least ratio to the samples at the next
@@ -148,6 +151,32 @@ def check_saturation(force: Series, name: str) -> Iterator[str]:
             )
 
 
+def check_spikes(force: Series, name: str) -> Iterator[str]:
+    """Yield a warning if single samples of a force in N lie far from both neighbours, as a disturbance of the cable
+    leaves them.
+    """
+    force = force[np.isfinite(force)]
+    middle = np.median(np.stack((force[:-2], force[1:-1], force[2:])), axis=0)
+    away = np.abs(force[1:-1] - middle)
+    if away.size and away.max() > max(_SPIKE_N, _SPIKE_SHARE * np.ptp(middle), _SPIKE_NOISE * away.mean()):
+        yield (
+            f"a single sample of the {name.replace('_', ' ')} lies {away.max():.3g} N from both beside it: no finger "
+            "does that, and the force is wrong in the frames around it. Check cable and ground, and remove the sample"
+        )
+
+
+def check_load_ratio(ratio: Series, normal: Series) -> Iterator[str]:
+    """Yield a warning if tangential over normal force is larger than friction allows where the normal force (frames,)
+    is above half of its largest.
+    """
+    pressed = ratio[normal > max(LEAST_NORMAL, np.fmax.reduce(normal) / 2)]
+    if len(pressed) and (most := float(np.median(np.abs(pressed)))) > _MOST_LOAD_RATIO:
+        yield (
+            f"the tangential force is {most:.3g} times the normal one, and skin slips before {_MOST_LOAD_RATIO:g}: are "
+            "both in one unit, and the columns not exchanged? Check [forces] normal, tangential, units and gain"
+        )
+
+
 def check_pressure(normal: Series, gross: Series) -> Iterator[str]:
     """Yield a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
     touching = np.isfinite(normal) & (gross > 0)
@@ -209,20 +238,6 @@ def check_growth(normal: Series, gross: Series) -> Iterator[str]:
             f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
             f"({larger:.3g} mm²): the force is of an earlier moment, or the contact fills the view. Check "
             f"recording.frame_rate and trigger_frame, and [views.contact]"
-        )
-
-
-def check_beginning(gross: Series, first_frame: int) -> Iterator[str]:
-    """Yield a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
-    measured = np.flatnonzero(np.isfinite(gross))
-    if not len(measured):
-        return
-    first, largest = gross[measured[0]], gross[measured].max()
-    if first > _STARTS * largest and largest > _GROWS * first:
-        yield (
-            f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
-            f"{measured[0] + first_frame}, and displacement there lacks what came before: "
-            f"{'lower recording.first_frame, ' if first_frame else ''}record earlier, or give fields.reference"
         )
 
 

@@ -24,7 +24,7 @@ from fingerflow.schema.json_value import json_value
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
 from fingerflow.tracker.area_steps import cut_shares
-from fingerflow.tracker.vibration import FRAMES_READ
+from fingerflow.tracker.vibration import FRAMES_READ, vibration
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
@@ -191,6 +191,9 @@ class SlipStage(Stage):
                 self._find_stuck(first, min(first + FRAMES_READ, len(self.trial)), self._grid, criterion)
         self._warn_of_unknown()
         self._warn_of_noise()
+        if settings.criterion != "relative":
+            where = self.results["in_contact"], np.flatnonzero(self.usable), self.inputs.geometry.topography_mm_per_px
+            self.warnings += vibration(self.results["position"], *where, "skin that sticks is taken to slip")[1]
         forces, ratio = self.known("load_ratio"), self.series["stuck_ratio"]
         # By the error of the stick border's position, the border being taken as a circle.
         position_std = math.nan if border is None else border.position_std
