@@ -207,7 +207,7 @@ class Player:
 
     def _log_faults(self) -> None:
         """Log each fault of the recording once: a faint rim, a contact cut off by the view, a frozen view, steps of the
-        area, and vibration. Slides are left out of the last: all skin may tremble together there.
+        area, and vibration.
         """
         slides, mm_per_px = self.scene.kind == "slip", self._tracker.geometry.topography_mm_per_px
         view_mm2 = self.bundle.height * self.bundle.width * self.scene.calibration.mm_per_px**2
@@ -216,7 +216,7 @@ class Player:
             "cut": check_cut(*self._findings.cut),
             "stale": self._tracker.check.stale_views.warnings(),
             "steps": self._findings.area_steps(view_mm2, slides),
-            "vibrates": () if slides else self._tracker.results.entries.check_vibration(mm_per_px),
+            "vibrates": self._tracker.results.entries.check_vibration(mm_per_px),
         }.items():
             for sentence in () if fault in self._logged else sentences:
                 self._logged.add(fault)

@@ -237,7 +237,8 @@ def test_dense_flow_is_where_the_skin_went(slip_trials: Path) -> None:
     trial, frames = rebuild_scene(slip_trials / "abrupt"), 41
     scene = by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None))
     scene = replace(scene, recording=replace(scene.recording, last_frame=frames - 1))
-    inputs = ["position", "position_std_px", "gross_contact_region", "gross_contact_area", "gross_contact_area_std"]
+    contact = [f"gross_contact_{name}" for name in ("region", "area", "area_std")]
+    inputs = ["position", "position_std_px", "in_contact", *contact]
     result = process(scene, ["skin_displacement", "dense_flow_difference", *inputs])
     field = result["skin_displacement"]
     row, column = np.indices(field.shape[1:3])

@@ -79,4 +79,5 @@ def test_vibration_of_a_slip_is_named(tmp_path: Path) -> None:
     shaken = np.stack([np.roll(frame, round(np.sin(k * np.pi / 3)), 0) for k, frame in enumerate(frames)])
     moved = process(scene_beside(folder, tmp_path, frames=shaken), "stuck_ratio")
     assert "skin that sticks is taken to slip" in warnings_of(moved)
+    assert "the whole image vibrates" in warnings_of(played(tmp_path / "scene.toml"))
     assert "vibrates" not in warnings_of(still)
