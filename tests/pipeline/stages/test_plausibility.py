@@ -43,6 +43,7 @@ def test_what_is_plausible_says_nothing() -> None:
     noisy = np.round(np.minimum(np.arange(4000) / 800, 3) + np.random.default_rng(0).normal(0, 0.005, 4000), 3)
     for one in (noisy, np.minimum(force, 3), nothing, nothing[:1], 0.5 * np.sin(np.arange(400) / 8)):
         messages += [plausibility.check_saturation(one, "normal_force"), plausibility.check_spikes(one, "normal_force")]
+    messages.append(plausibility.check_tracking(np.ones(40), np.full(40, 1 / 700), 0))  # one at the edge of slip
     messages += [plausibility.check_load_ratio(np.full(40, ratio), force) for ratio in (0, -5.0, np.nan)]
     assert not any(map(list, messages))
 

@@ -10,8 +10,9 @@ from fingerflow.kernels.field_limits import LEAST_SHARE
 _FEW_RIDGES_MM2 = 1.0
 # Largest share of impulses among pixels; with twice as many 0.3 % of the positions are off by four deviations.
 _IMPULSES = 5e-4
-# Shares of the requested points found, and of the points tracked, below which a warning is given.
-_FEW_FOUND, _FEW_TRACKED = 0.9, 0.5
+# Shares of the requested points found, and of the points tracked, below which a warning is given, and of points held
+# back by dust, above which it is: a single point may be held at an edge of slip.
+_FEW_FOUND, _FEW_TRACKED, _HELD = 0.9, 0.5, 0.0025
 _UNSEEDED = 0.05  # share of the contact far from the region of seeding, above which a warning is given
 # Most gauge length in widths of the contact: medians on a print were wrong by 3 to 4 deviations at 0.41, by 1 at 0.2.
 _MOST_GAUGE = 1 / 3
@@ -293,7 +294,7 @@ def check_tracking(tracked: Series, held: Series, first_frame: int) -> Iterator[
 
     `tracked` and `held` (frames,) are the shares of these points, NaN without points.
     """
-    few, dust = np.flatnonzero(tracked < _FEW_TRACKED), np.flatnonzero(held > 0)
+    few, dust = np.flatnonzero(tracked < _FEW_TRACKED), np.flatnonzero(held > _HELD)
     if len(few):
         yield (
             f"less than half of the points are tracked in {len(few)} frames, the first is {few[0] + first_frame} "
