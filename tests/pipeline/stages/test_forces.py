@@ -143,6 +143,7 @@ def test_forces_and_frames_have_one_clock(changed: Change, press: Path) -> None:
         ([1, 1, 1, 1], HEADING.format(" (V)"), NAMED, r"csv: column 'fz' .* is in V, not in N; give"),
         ([1, -1, 1, 1], HEADING.format(" (N)"), NAMED, r"between -\d.* N: pressing must be positive; give .*sign = -1"),
         ([1, np.nan, 1, 1], HEADING.format(" (N)"), NAMED, ""),
+        ([1, np.inf, 1, 1], HEADING.format(" (N)"), NAMED, ""),
     ],
 )
 def test_what_cannot_be_a_force_is_said(

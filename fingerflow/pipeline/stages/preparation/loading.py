@@ -59,10 +59,10 @@ class LoadingStage(Stage):
         for name, column in names.items():
             self.warnings += plausibility.check_saturation(forces.channels[name], name)
             self.warnings += plausibility.check_spikes(forces.channels[name], name)
-            if unknown := int(np.isnan(forces.channels[name]).sum()):
+            if unknown := np.count_nonzero(~np.isfinite(forces.channels[name])):
                 self.warnings.append(
-                    f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
-                    f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
+                    f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN or infinite; "
+                    f"{name} is NaN in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
         self.warnings += plausibility.check_force(values["normal_force"])
         if travel:
